@@ -10,7 +10,7 @@ the first to the second), u = (cos theta, sin theta) along the rod and u' across
     (I + m c^2) theta'' = L2 u' . f + m c u' . (g - B''),    m_s s'' = -f_x,    f = -N e / |e|,
 
 e from the middle of the bush, which the slider holds, to the pin, N by Hunt and Crossley's law with a given chi or with
-Lankarani and Nikravesh's.  Sources: as `rfem_jax.mechanics.contact_law` names them; Newton and Euler's equations.
+Lankarani and Nikravesh's.  Sources: as `rfem_jax.mechanics.laws.contact_law` names them; Newton and Euler's equations.
 
 Symbols: y = (theta, s, theta', s') [rad, m, rad/s, m/s]; SI.
 """

@@ -10,8 +10,8 @@ import numpy as np
 from exudyn_engine import BACK, TURNED, exut
 
 from rfem_jax.description.joint_kinds import KINDS
-from rfem_jax.mechanics.model import BASE, Model
-from rfem_jax.mechanics.point_laws import SpringBetween
+from rfem_jax.mechanics.laws.point_laws import SpringBetween
+from rfem_jax.mechanics.model.model import BASE, Model
 
 
 def springs_of(model: Model, j: int):

@@ -19,9 +19,9 @@ import numpy as np
 from exudyn_engine import BACK, HINGE, TURNED, exu, exut
 
 from rfem_jax.description.joint_kinds import KINDS
-from rfem_jax.mechanics.friction_laws import Friction
-from rfem_jax.mechanics.joint_laws import FunctionLaw, JointLaw, SpringLaw, TableLaw
-from rfem_jax.mechanics.model import BASE
+from rfem_jax.mechanics.laws.friction_laws import Friction
+from rfem_jax.mechanics.laws.joint_laws import FunctionLaw, JointLaw, SpringLaw, TableLaw
+from rfem_jax.mechanics.model.model import BASE
 
 # Exudyn's universal constraint is x of J0 . z of J1; ours y . z is there z . x: both frames are turned by 180 deg.
 CROSS = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])

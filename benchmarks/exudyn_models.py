@@ -30,10 +30,10 @@ from exudyn_engine import BACK, HINGE, TURNED, exu, exut
 from exudyn_forces import add_point_springs, laws_of, point_springs_of, springs_of
 from exudyn_joints import JointSensors, LinkageJoint, Side, axis_of, constrain
 
-from rfem_jax.mechanics.kinematics import all_frames, motion_of
-from rfem_jax.mechanics.loads import static_state
-from rfem_jax.mechanics.model import BASE, Model
-from rfem_jax.mechanics.model_with_errors import AssemblyErrors, apply_errors
+from rfem_jax.mechanics.dynamics.loads import static_state
+from rfem_jax.mechanics.kinematics.motion import all_frames, motion_of
+from rfem_jax.mechanics.model.model import BASE, Model
+from rfem_jax.mechanics.model.with_errors import AssemblyErrors, apply_errors
 
 __all__ = ["BACK", "HINGE", "Settings", "build", "exu", "linkage"]
 

@@ -21,11 +21,11 @@ import jax.numpy as jnp  # noqa: E402
 
 from rfem_jax import Simulation, assembly_errors, discretise, load_study, simulate  # noqa: E402
 from rfem_jax.kernels import kernel  # noqa: E402
-from rfem_jax.mechanics.dynamics import accelerations  # noqa: E402
-from rfem_jax.mechanics.inputs import DriveInput, Stabilisation  # noqa: E402
-from rfem_jax.mechanics.loads import static_state  # noqa: E402
-from rfem_jax.mechanics.model_with_errors import apply_errors, with_structural_zeros  # noqa: E402
-from rfem_jax.mechanics.reference_formulation import reference_accelerations  # noqa: E402
+from rfem_jax.mechanics.dynamics.dynamics import accelerations  # noqa: E402
+from rfem_jax.mechanics.dynamics.loads import static_state  # noqa: E402
+from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation  # noqa: E402
+from rfem_jax.mechanics.model.with_errors import apply_errors, with_structural_zeros  # noqa: E402
+from rfem_jax.mechanics.reference.formulation import reference_accelerations  # noqa: E402
 
 STUDY = Path(__file__).parents[1] / "studies" / "four_bar" / "study.toml"
 

@@ -52,12 +52,12 @@ from speed_timing import (
 from rfem_jax import GeneralisedAlpha, Method, discretise
 from rfem_jax.description.methods import named_method
 from rfem_jax.kernels import is_available, kernel
-from rfem_jax.mechanics.dynamics import accelerations
-from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
-from rfem_jax.mechanics.loads import static_state
-from rfem_jax.mechanics.model import State
-from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors, with_structural_zeros
-from rfem_jax.mechanics.reference_formulation import reference_accelerations
+from rfem_jax.mechanics.dynamics.dynamics import accelerations
+from rfem_jax.mechanics.dynamics.loads import static_state
+from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation
+from rfem_jax.mechanics.model.model import State
+from rfem_jax.mechanics.model.with_errors import apply_errors, assembly_errors, with_structural_zeros
+from rfem_jax.mechanics.reference.formulation import reference_accelerations
 from rfem_jax.simulation.run import RESIDUAL_LIMIT
 
 ACCURACIES = (1e-2, 1e-3)

@@ -1,6 +1,6 @@
 """Numbers that may be traced: formulas of a description that serve a design as well.
 
-Place in the pipeline: sections, materials, rigid_bodies, model_building write their formulas with these.
+Place in the pipeline: sections, materials, rigid_bodies, building write their formulas with these.
 
 A description holds floats, and NumPy computes with them on the host. A design puts traced scalars in their places, and
 the same formulas are then operations of JAX.

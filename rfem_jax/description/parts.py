@@ -1,6 +1,6 @@
 """The parts of a mechanism whose numbers make the arrays of a model, with numbers put in other numbers' places.
 
-Place in the pipeline: mechanism -> **parts** -> parameters, and the mechanics' `model_building`.
+Place in the pipeline: mechanism -> **parts** -> parameters, and the mechanics' `model.building`.
 
 A place in the parts is a path: names of fields, keys of tables and indices, as ("links", 0, "section", "height").
 """

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from mpl_toolkits.mplot3d import Axes3D
 
     from rfem_jax.description.study import Study
-    from rfem_jax.mechanics.discretisation import StartHeld, Structure
-    from rfem_jax.mechanics.model import Model
+    from rfem_jax.mechanics.model.discretisation import StartHeld, Structure
+    from rfem_jax.mechanics.model.model import Model
     from rfem_jax.simulation.cycle import Cycle
     from rfem_jax.simulation.run import Run
 else:

@@ -26,8 +26,8 @@ from rfem_jax.description.joint_kinds import KINDS
 from rfem_jax.description.metric_catalogue import notes_on, unit_of
 from rfem_jax.description.point_forces import AtPoint
 from rfem_jax.description.study import Study
-from rfem_jax.mechanics.bush_contacts import CONTACT_NAMES, ContactState
-from rfem_jax.mechanics.discretisation import start_held
+from rfem_jax.mechanics.forces.bush_contacts import CONTACT_NAMES, ContactState
+from rfem_jax.mechanics.model.discretisation import start_held
 from rfem_jax.report.annotations import Run, StartHeld, Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities
 from rfem_jax.report.output import csv_cell, write_json

@@ -50,8 +50,8 @@ class Seat(NamedTuple):
 
 def joint_seats(mechanism: Mechanism, model: Model | None = None) -> dict[str, Seat]:
     """The seats of all joints of the perfect mechanism at the start; `model`: where it was discretised already."""
-    from rfem_jax.mechanics.discretisation import discretise
-    from rfem_jax.mechanics.nominal_geometry import geometry_of, place
+    from rfem_jax.mechanics.model.discretisation import discretise
+    from rfem_jax.mechanics.model.nominal_geometry import geometry_of, place
 
     model = discretise(mechanism) if model is None else model
     placed = place(geometry_of(model), np.asarray(model.start_joints))

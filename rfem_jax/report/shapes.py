@@ -225,7 +225,7 @@ def assembly_figure(study: Study, runs: Mapping[str, Run], places: Mapping[str, 
     largest deflections are shown. `places`: seats of the joints, of the mechanism if left out.
     """
     if places is None:
-        from rfem_jax.mechanics.designs import model_of_study
+        from rfem_jax.mechanics.statics.designs import model_of_study
 
         places = joint_seats(study.mechanism, model_of_study(study))
     deflections = {name: np.nan_to_num(largest_deflection(run)) for name, run in runs.items()}

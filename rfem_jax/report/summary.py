@@ -15,8 +15,8 @@ from jaxtyping import Array, Float
 
 from rfem_jax.description.metric_catalogue import metric_of
 from rfem_jax.description.study import Study
-from rfem_jax.mechanics.bush_contacts import CLOSED, CONTACT_NAMES, ContactState, carrying
-from rfem_jax.mechanics.status import STATUS
+from rfem_jax.mechanics.forces.bush_contacts import CLOSED, CONTACT_NAMES, ContactState, carrying
+from rfem_jax.mechanics.model.status import STATUS
 from rfem_jax.report.annotations import Run, Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
 from rfem_jax.report.quantities import (

@@ -22,11 +22,11 @@ from jaxtyping import Array, Bool, Float
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import DEFAULT_ACCURACY, Automatic, GeneralisedAlpha, Method, RungeKutta4
-from rfem_jax.mechanics.friction import require_implicit
-from rfem_jax.mechanics.loads import has_tables_over_position
-from rfem_jax.mechanics.model import Model
-from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
-from rfem_jax.mechanics.status import OK
+from rfem_jax.mechanics.dynamics.loads import has_tables_over_position
+from rfem_jax.mechanics.forces.friction import require_implicit
+from rfem_jax.mechanics.model.model import Model
+from rfem_jax.mechanics.model.status import OK
+from rfem_jax.mechanics.model.with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.simulation import balances, integration
 from rfem_jax.simulation.conclusion import joint_places, load_summary
 from rfem_jax.simulation.driving import Drive, require_driven

@@ -14,9 +14,8 @@ from jaxtyping import Array, Float, Int
 
 from rfem_jax.mechanics.elements.linear_validity import linear_error
 from rfem_jax.mechanics.implicit.residual import rounding_force
-from rfem_jax.mechanics.model import Model, length_scale
-from rfem_jax.mechanics.model_with_errors import ModelWithErrors
-from rfem_jax.mechanics.status import (
+from rfem_jax.mechanics.model.model import Model, length_scale
+from rfem_jax.mechanics.model.status import (
     CONTACT_NOT_RESOLVED,
     DIVERGED,
     DRIFTED,
@@ -26,6 +25,7 @@ from rfem_jax.mechanics.status import (
     OUT_OF_RANGE,
     STEPS_EXHAUSTED,
 )
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.observation import Record
 from rfem_jax.simulation.remarks import BALANCE_LIMIT

@@ -18,9 +18,9 @@ from rfem_jax.description.methods import Method
 from rfem_jax.description.metric_catalogue import records_for
 from rfem_jax.description.study import Study
 from rfem_jax.labelled_data import DataFrame, Dataset, frame
-from rfem_jax.mechanics.designs import model_of_study
-from rfem_jax.mechanics.model import Model
-from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
+from rfem_jax.mechanics.model.model import Model
+from rfem_jax.mechanics.model.with_errors import AssemblyErrors, assembly_errors
+from rfem_jax.mechanics.statics.designs import model_of_study
 from rfem_jax.simulation import integration, labelled_runs
 from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.simulation.conclusion import run_of

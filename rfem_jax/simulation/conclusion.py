@@ -15,9 +15,9 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Float
 
-from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.model import Coordinates, Model
-from rfem_jax.mechanics.orientations import angles_of
+from rfem_jax.mechanics.dynamics import loads
+from rfem_jax.mechanics.model.model import Coordinates, Model
+from rfem_jax.mechanics.model.orientations import angles_of
 from rfem_jax.mechanics.statics.assembly import Load, named
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.equations import Numbers, Scalar

@@ -24,10 +24,10 @@ from rfem_jax.compilation.program import Program
 from rfem_jax.description.driven_motions import each_drive
 from rfem_jax.description.drives import PrescribedRate
 from rfem_jax.description.errors import InputError
-from rfem_jax.mechanics.designs import Design, designed, with_status
-from rfem_jax.mechanics.model import Model, State, Topology
-from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
-from rfem_jax.mechanics.point_laws import changing
+from rfem_jax.mechanics.laws.point_laws import changing
+from rfem_jax.mechanics.model.model import Model, State, Topology
+from rfem_jax.mechanics.model.with_errors import AssemblyErrors, assembly_errors
+from rfem_jax.mechanics.statics.designs import Design, designed, with_status
 from rfem_jax.simulation import integration
 from rfem_jax.simulation.conclusion import Conclusion, run_of
 from rfem_jax.simulation.driving import Drive, drive_of_design, require_driven

@@ -22,11 +22,11 @@ from rfem_jax.description.driven_motions import (
 )
 from rfem_jax.description.drives import GivenDrive, PrescribedDrive, Time
 from rfem_jax.description.errors import InputError, suggestion
-from rfem_jax.mechanics.designs import Design
-from rfem_jax.mechanics.frame_forces import Time as Instant
-from rfem_jax.mechanics.inputs import DriveInput
-from rfem_jax.mechanics.model import Model, Topology
-from rfem_jax.mechanics.point_laws import breakpoints_of, changing, rows_of
+from rfem_jax.mechanics.laws.frame_forces import Time as Instant
+from rfem_jax.mechanics.laws.point_laws import breakpoints_of, changing, rows_of
+from rfem_jax.mechanics.model.inputs import DriveInput
+from rfem_jax.mechanics.model.model import Model, Topology
+from rfem_jax.mechanics.statics.designs import Design
 
 
 class ActiveDrives(eqx.Module):

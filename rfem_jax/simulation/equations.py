@@ -13,17 +13,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from rfem_jax.mechanics import friction, loads
-from rfem_jax.mechanics.bush_contacts import contact_losses
-from rfem_jax.mechanics.dynamics import Accelerations, accelerations
-from rfem_jax.mechanics.element_loads import FrameLoads
+from rfem_jax.mechanics.dynamics import loads
+from rfem_jax.mechanics.dynamics.dynamics import Accelerations, accelerations
+from rfem_jax.mechanics.forces import friction
+from rfem_jax.mechanics.forces.bush_contacts import contact_losses
+from rfem_jax.mechanics.forces.element_loads import FrameLoads
+from rfem_jax.mechanics.forces.joint_forces import LawForces, rate_about_axis
 from rfem_jax.mechanics.implicit.condensation import LinkOperator
-from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
-from rfem_jax.mechanics.joint_forces import LawForces, rate_about_axis
-from rfem_jax.mechanics.kinematics import Motion
-from rfem_jax.mechanics.model import Coordinates, State, Topology
-from rfem_jax.mechanics.model_with_errors import ModelWithErrors
-from rfem_jax.mechanics.orientations import position_rate
+from rfem_jax.mechanics.kinematics.motion import Motion
+from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation, impose
+from rfem_jax.mechanics.model.model import Coordinates, State, Topology
+from rfem_jax.mechanics.model.orientations import position_rate
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 from rfem_jax.simulation.driving import ActiveDrives
 
 Numbers = Array | np.ndarray  # of JAX within a computation, of NumPy in what it returned

@@ -27,18 +27,18 @@ from rfem_jax.description.errors import InputError
 from rfem_jax.description.mechanism import AS_GIVEN
 from rfem_jax.description.methods import GeneralisedAlpha, Method
 from rfem_jax.kernels import kernel
-from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.bush_contacts import with_memory
-from rfem_jax.mechanics.centre_lines import link_lines
-from rfem_jax.mechanics.designs import Design, designed, with_status
-from rfem_jax.mechanics.model import Model, State
-from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
-from rfem_jax.mechanics.reordering import rows
-from rfem_jax.mechanics.statics.assembly import held_angles, moving_equilibrium, static_loads
-from rfem_jax.mechanics.status import (
+from rfem_jax.mechanics.algebra.reordering import rows
+from rfem_jax.mechanics.dynamics import loads
+from rfem_jax.mechanics.dynamics.centre_lines import link_lines
+from rfem_jax.mechanics.forces.bush_contacts import with_memory
+from rfem_jax.mechanics.model.model import Model, State
+from rfem_jax.mechanics.model.status import (
     DESIGN_OUT_OF_RANGE,
     OK,
 )
+from rfem_jax.mechanics.model.with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
+from rfem_jax.mechanics.statics.assembly import held_angles, moving_equilibrium, static_loads
+from rfem_jax.mechanics.statics.designs import Design, designed, with_status
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.balances import checks_of
 from rfem_jax.simulation.batches import like_batched

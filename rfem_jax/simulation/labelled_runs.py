@@ -18,8 +18,8 @@ import numpy as np
 from rfem_jax import rich_text
 from rfem_jax.description.errors import InputError
 from rfem_jax.labelled_data import COMPONENTS, DataFrame, Dataset, Labelled, column_name, dataset, frame
-from rfem_jax.mechanics.bush_contacts import CONTACT_NAMES
-from rfem_jax.mechanics.status import STATUS
+from rfem_jax.mechanics.forces.bush_contacts import CONTACT_NAMES
+from rfem_jax.mechanics.model.status import STATUS
 
 Run = Any  # `rfem_jax.simulation.run.Run`, which imports this module
 

@@ -18,10 +18,10 @@ from jax.core import Tracer
 from jaxtyping import Float, Int
 
 from rfem_jax.description.driven_motions import Drive
-from rfem_jax.mechanics.discretisation import CLOSING_TOLERANCE, close_at
-from rfem_jax.mechanics.model import Model
-from rfem_jax.mechanics.nominal_geometry import geometry_of, joint_units
-from rfem_jax.mechanics.status import DIVERGED, DRIFTED, NOT_CONVERGED, OUT_OF_RANGE, PAST_LIMIT, STEPS_EXHAUSTED
+from rfem_jax.mechanics.model.discretisation import CLOSING_TOLERANCE, close_at
+from rfem_jax.mechanics.model.model import Model
+from rfem_jax.mechanics.model.nominal_geometry import geometry_of, joint_units
+from rfem_jax.mechanics.model.status import DIVERGED, DRIFTED, NOT_CONVERGED, OUT_OF_RANGE, PAST_LIMIT, STEPS_EXHAUSTED
 from rfem_jax.simulation.driving import ActiveDrives, active_drives, all_jumps
 from rfem_jax.simulation.run import Run
 

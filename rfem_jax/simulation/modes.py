@@ -27,14 +27,14 @@ from jaxtyping import ArrayLike, Float, Int
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.precision import require_float64
-from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.designs import Design, designed, status_of
+from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.implicit.residual import evaluate_residual
-from rfem_jax.mechanics.inputs import DriveInput
-from rfem_jax.mechanics.model import Coordinates, Model, State
-from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
-from rfem_jax.mechanics.orientations import moved
+from rfem_jax.mechanics.model.inputs import DriveInput
+from rfem_jax.mechanics.model.model import Coordinates, Model, State
+from rfem_jax.mechanics.model.orientations import moved
+from rfem_jax.mechanics.model.with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
 from rfem_jax.mechanics.statics.assembly import checked_hold, equilibrium, held_angles, length_scale
+from rfem_jax.mechanics.statics.designs import Design, designed, status_of
 from rfem_jax.simulation.driving import require_masses
 from rfem_jax.simulation.equations import safe_sqrt
 

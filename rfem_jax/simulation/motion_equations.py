@@ -11,12 +11,12 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from rfem_jax.kernels import kernel
-from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.designs import designed
-from rfem_jax.mechanics.inputs import Stabilisation
-from rfem_jax.mechanics.model import Model, State
-from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, assembly_errors, with_structural_zeros
+from rfem_jax.mechanics.dynamics import loads
+from rfem_jax.mechanics.model.inputs import Stabilisation
+from rfem_jax.mechanics.model.model import Model, State
+from rfem_jax.mechanics.model.with_errors import AssemblyErrors, ModelWithErrors, assembly_errors, with_structural_zeros
 from rfem_jax.mechanics.statics.assembly import Load, named
+from rfem_jax.mechanics.statics.designs import designed
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.driving import ActiveDrives, active_drives, all_jumps, drive_of_design
 from rfem_jax.simulation.equations import Conditions, Trajectory

@@ -10,21 +10,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from rfem_jax.mechanics import algebra, loads
-from rfem_jax.mechanics.branches import assembly_modes
-from rfem_jax.mechanics.bush_contacts import ContactState, contact_states
-from rfem_jax.mechanics.centre_lines import link_ends
-from rfem_jax.mechanics.clearances import clearance_name
-from rfem_jax.mechanics.cut_joints import Closure, Constraints
-from rfem_jax.mechanics.dynamics import Accelerations
-from rfem_jax.mechanics.element_loads import FrameLoads
+from rfem_jax.mechanics.algebra import vectors
+from rfem_jax.mechanics.dynamics import loads
+from rfem_jax.mechanics.dynamics.centre_lines import link_ends
+from rfem_jax.mechanics.dynamics.dynamics import Accelerations
 from rfem_jax.mechanics.elements.linear_validity import LinearRange, linear_range
+from rfem_jax.mechanics.forces.bush_contacts import ContactState, contact_states
+from rfem_jax.mechanics.forces.element_loads import FrameLoads
+from rfem_jax.mechanics.forces.joint_forces import LawForces, by_coordinate
 from rfem_jax.mechanics.implicit.residual import Evaluation
-from rfem_jax.mechanics.inputs import DriveInput
-from rfem_jax.mechanics.joint_forces import LawForces, by_coordinate
-from rfem_jax.mechanics.kinematics import Motion, by_freedom, range_used
-from rfem_jax.mechanics.model import Coordinates, State, Topology
-from rfem_jax.mechanics.model_with_errors import ModelWithErrors
+from rfem_jax.mechanics.kinematics.branches import assembly_modes
+from rfem_jax.mechanics.kinematics.cut_joints import Closure, Constraints
+from rfem_jax.mechanics.kinematics.motion import Motion, by_freedom, range_used
+from rfem_jax.mechanics.laws.clearances import clearance_name
+from rfem_jax.mechanics.model.inputs import DriveInput
+from rfem_jax.mechanics.model.model import Coordinates, State, Topology
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.equations import Integrals
 from rfem_jax.simulation.run import Energy, PointHistory
@@ -100,7 +101,7 @@ class Record(NamedTuple):
     contacts: dict[str, ContactState]
 
 
-def solved_instant(actual: ModelWithErrors, result: Accelerations, drive: DriveInput, scale: algebra.Scalar) -> Instant:
+def solved_instant(actual: ModelWithErrors, result: Accelerations, drive: DriveInput, scale: vectors.Scalar) -> Instant:
     """An instant whose equations of motion were solved for the accelerations; `scale` [m] as in `closure`."""
     result, wrenches = loads.moving_wrenches(actual, result, result.angular, result.linear)
     drift, drift_angle = cut_drift(result.closure, scale)
@@ -129,7 +130,7 @@ def evaluated_instant(
     evaluation: Evaluation,
     accelerations: Coordinates,
     drive: DriveInput,
-    scale: algebra.Scalar,
+    scale: vectors.Scalar,
     residual: Float[Array, " n"],
 ) -> Instant:
     """An instant at which the equations of motion hold up to a residual [N]; `scale` [m] as in `closure`.
@@ -228,9 +229,9 @@ def _load_along_free_motions(topology: Topology, instant: Instant, drive: DriveI
     elif revolute.all() and instant.laws is None:
         return jnp.max(jnp.abs(joint.moment[1]) * jnp.asarray(np.append(passive, np.ones(topology.n_cuts))))
     n = topology.n_links
-    force, moment = (algebra.apply(hinges.rotation, part[:, :n]) for part in joint)
-    wrenches = algebra.wrench_at_origin(moment, force, hinges.point)
-    along = algebra.dot(instant.motion.axis, by_freedom(topology, wrenches))
+    force, moment = (vectors.apply(hinges.rotation, part[:, :n]) for part in joint)
+    wrenches = vectors.wrench_at_origin(moment, force, hinges.point)
+    along = vectors.dot(instant.motion.axis, by_freedom(topology, wrenches))
     if instant.laws is not None and instant.laws.inside:
         along = along - by_coordinate(topology, instant.laws.inside)
     along = jnp.abs(along)
@@ -251,7 +252,7 @@ def _branch(actual: ModelWithErrors, instant: Instant) -> Float[Array, " cuts"]:
     return assembly_modes(actual, instant.motion, instant.closure)
 
 
-def cut_drift(cuts: Closure | None, scale: algebra.Scalar) -> tuple[Float[Array, ""], Float[Array, ""]]:
+def cut_drift(cuts: Closure | None, scale: vectors.Scalar) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Closure errors of the cut joints: largest distance [m] of two joint centres, largest axis equation [rad]."""
     if cuts is None:
         return jnp.zeros(()), jnp.zeros(())

@@ -23,11 +23,11 @@ from jaxtyping import Float
 
 from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.description.metric_subjects import divided
-from rfem_jax.mechanics.algebra import dot
-from rfem_jax.mechanics.loads import velocities
-from rfem_jax.mechanics.model import BASE, Model, State, Topology, rfe_fractions
-from rfem_jax.mechanics.model_with_errors import ModelWithErrors
-from rfem_jax.mechanics.section_loads import loads_of_sections, stress_squares
+from rfem_jax.mechanics.algebra.vectors import dot
+from rfem_jax.mechanics.dynamics.loads import velocities
+from rfem_jax.mechanics.dynamics.section_loads import loads_of_sections, stress_squares
+from rfem_jax.mechanics.model.model import BASE, Model, State, Topology, rfe_fractions
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 from rfem_jax.simulation.equations import safe_sqrt
 from rfem_jax.simulation.observation import Instant
 

@@ -14,9 +14,9 @@ from jax.core import Tracer
 
 from rfem_jax.description.drives import GivenDrive, MomentFunction, PrescribedFunction
 from rfem_jax.description.translation_drives import ForceFunction
-from rfem_jax.mechanics.frame_forces import Time
-from rfem_jax.mechanics.model import Model
-from rfem_jax.mechanics.point_laws import FunctionVector, GivenLoad
+from rfem_jax.mechanics.laws.frame_forces import Time
+from rfem_jax.mechanics.laws.point_laws import FunctionVector, GivenLoad
+from rfem_jax.mechanics.model.model import Model
 from rfem_jax.simulation.driving import Drive, active_drives, all_jumps
 from rfem_jax.simulation.time_grid import TimeGrid
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import diffrax
 
-from rfem_jax.mechanics.model import Model
-from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
+from rfem_jax.mechanics.model.model import Model
+from rfem_jax.mechanics.model.with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.simulation.driving import drive_of_design
 from rfem_jax.simulation.integration import grid_for, simulate_steps
 from rfem_jax.simulation.locking import with_limit

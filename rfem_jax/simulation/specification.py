@@ -17,9 +17,9 @@ from rfem_jax.description.errors import InputError, suggestion
 from rfem_jax.description.methods import Automatic, Method
 from rfem_jax.description.precision import require_float64
 from rfem_jax.description.study import Study
-from rfem_jax.mechanics.designs import Design, model_of_study
-from rfem_jax.mechanics.model import Model, State
+from rfem_jax.mechanics.model.model import Model, State
 from rfem_jax.mechanics.statics.assembly import with_start
+from rfem_jax.mechanics.statics.designs import Design, model_of_study
 from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.simulation.driving import require_driven
 

@@ -15,9 +15,9 @@ from jaxtyping import Complex
 
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import Leapfrog, Method, RungeKutta4
-from rfem_jax.mechanics.discretisation import CLOSING_TOLERANCE, close_at
-from rfem_jax.mechanics.friction import require_implicit
-from rfem_jax.mechanics.model import Model
+from rfem_jax.mechanics.forces.friction import require_implicit
+from rfem_jax.mechanics.model.discretisation import CLOSING_TOLERANCE, close_at
+from rfem_jax.mechanics.model.model import Model
 from rfem_jax.simulation.driving import Drive, prescribed_coordinates, require_driven
 from rfem_jax.simulation.stabilisation import stabilisation_of
 from rfem_jax.simulation.vibration import Modes, Vibration

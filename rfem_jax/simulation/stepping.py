@@ -19,10 +19,10 @@ from jaxtyping import Array, Bool, Float, Int, PyTree, Shaped
 
 from rfem_jax.description.methods import GeneralisedAlpha, Method
 from rfem_jax.kernels import kernel
-from rfem_jax.mechanics.bush_contacts import require_memory
-from rfem_jax.mechanics.friction import require_implicit
-from rfem_jax.mechanics.model import Model
-from rfem_jax.mechanics.model_with_errors import ModelWithErrors, with_structural_zeros
+from rfem_jax.mechanics.forces.bush_contacts import require_memory
+from rfem_jax.mechanics.forces.friction import require_implicit
+from rfem_jax.mechanics.model.model import Model
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors, with_structural_zeros
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.driving import Drive, active_drives
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory

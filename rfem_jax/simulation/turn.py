@@ -19,18 +19,18 @@ from jaxtyping import Float, Int
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.precision import require_float64
-from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.bush_contacts import ContactState, contact_states
-from rfem_jax.mechanics.designs import designed, status_of
-from rfem_jax.mechanics.discretisation import CLOSING_TOLERANCE, close_at
-from rfem_jax.mechanics.element_loads import FrameLoads
+from rfem_jax.mechanics.dynamics import loads
+from rfem_jax.mechanics.dynamics.section_loads import loads_of_sections, stress_squares
 from rfem_jax.mechanics.elements.linear_validity import linear_error, linear_range
-from rfem_jax.mechanics.inputs import DriveInput
-from rfem_jax.mechanics.kinematics import Motion
-from rfem_jax.mechanics.model import Model
-from rfem_jax.mechanics.model_with_errors import AssemblyErrors, apply_errors, assembly_errors
-from rfem_jax.mechanics.section_loads import loads_of_sections, stress_squares
+from rfem_jax.mechanics.forces.bush_contacts import ContactState, contact_states
+from rfem_jax.mechanics.forces.element_loads import FrameLoads
+from rfem_jax.mechanics.kinematics.motion import Motion
+from rfem_jax.mechanics.model.discretisation import CLOSING_TOLERANCE, close_at
+from rfem_jax.mechanics.model.inputs import DriveInput
+from rfem_jax.mechanics.model.model import Model
+from rfem_jax.mechanics.model.with_errors import AssemblyErrors, apply_errors, assembly_errors
 from rfem_jax.mechanics.statics.assembly import Load, closed_at_rest, equilibrium, held_angles, named
+from rfem_jax.mechanics.statics.designs import designed, status_of
 from rfem_jax.simulation.equations import safe_sqrt
 
 POSITIONS = 72  # over a revolution, unless given

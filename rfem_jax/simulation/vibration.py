@@ -29,12 +29,12 @@ from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, eigsh
 
 from rfem_jax.description.joint_kinds import JointKind
-from rfem_jax.mechanics.frame_forces import START, FrameForce, Pose
-from rfem_jax.mechanics.friction_laws import Friction
-from rfem_jax.mechanics.joint_laws import JointLaw, law_derivatives
-from rfem_jax.mechanics.joint_springs import CompliantSpring, diagonal_tangent
-from rfem_jax.mechanics.model import BASE, Model
-from rfem_jax.mechanics.nominal_geometry import (
+from rfem_jax.mechanics.laws.frame_forces import START, FrameForce, Pose
+from rfem_jax.mechanics.laws.friction_laws import Friction
+from rfem_jax.mechanics.laws.joint_laws import JointLaw, law_derivatives
+from rfem_jax.mechanics.laws.joint_springs import CompliantSpring, diagonal_tangent
+from rfem_jax.mechanics.model.model import BASE, Model
+from rfem_jax.mechanics.model.nominal_geometry import (
     NominalGeometry,
     Placed,
     cross_matrix,

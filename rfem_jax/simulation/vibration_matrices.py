@@ -1,6 +1,6 @@
 """Matrices of all nodes of a perfect mechanism as free bodies, from which its vibration follows.
 
-Place in the pipeline: model, model_with_errors -> **vibration_matrices** -> vibration.
+Place in the pipeline: model, with_errors -> **vibration_matrices** -> vibration.
 
 Velocities w are six of every node (rfe) in the axes of its link: angular, then linear.
 """
@@ -15,9 +15,9 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.mechanics.model import Model, Topology
-from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors
-from rfem_jax.mechanics.nominal_geometry import cross_matrix
+from rfem_jax.mechanics.model.model import Model, Topology
+from rfem_jax.mechanics.model.nominal_geometry import cross_matrix
+from rfem_jax.mechanics.model.with_errors import apply_errors, assembly_errors
 
 SMALLEST_INERTIA = 1e-15  # of a body, over its mass times the square of the longest link
 RIDGE = 1e-13  # added to a matrix with unit diagonal that may be singular

@@ -6,8 +6,8 @@ Place in the pipeline: a benchmark of `catalogue`. Reference values: `references
 import numpy as np
 
 from rfem_jax.description import Joint, JointForceTable, Mechanism, PointForce, PointSpring, PrescribedRate, RungeKutta4
-from rfem_jax.mechanics.discretisation import discretise
-from rfem_jax.mechanics.loads import static_state
+from rfem_jax.mechanics.dynamics.loads import static_state
+from rfem_jax.mechanics.model.discretisation import discretise
 from rfem_jax.simulation import Run, Simulation, simulate
 from rfem_jax.validation.joint_cases import Shares, checked
 from rfem_jax.validation.lines import Line, Outcome, Progress, absolute

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from rfem_jax.description import Joint, Link, Mechanism, PointMass, PrescribedRate, RungeKutta4
-from rfem_jax.mechanics.discretisation import describe, discretise
+from rfem_jax.mechanics.model.discretisation import describe, discretise
 from rfem_jax.simulation import Run, Simulation, simulate
 from rfem_jax.validation.lines import Line, Outcome, Progress, absolute, same
 from rfem_jax.validation.rigid_links import MASSLESS

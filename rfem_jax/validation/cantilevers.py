@@ -28,11 +28,11 @@ from rfem_jax.description import (
     PointMass,
     PrescribedRate,
 )
-from rfem_jax.mechanics.centre_lines import link_ends
-from rfem_jax.mechanics.discretisation import discretise
-from rfem_jax.mechanics.kinematics import motion_of
-from rfem_jax.mechanics.model import Model
-from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors
+from rfem_jax.mechanics.dynamics.centre_lines import link_ends
+from rfem_jax.mechanics.kinematics.motion import motion_of
+from rfem_jax.mechanics.model.discretisation import discretise
+from rfem_jax.mechanics.model.model import Model
+from rfem_jax.mechanics.model.with_errors import apply_errors, assembly_errors
 from rfem_jax.mechanics.statics.assembly import assemble
 from rfem_jax.simulation.stability import eigenvalues
 from rfem_jax.validation.lines import Line, Outcome, Progress, relative

@@ -16,12 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from rfem_jax.description import Clearance, Joint, Mechanism
-from rfem_jax.mechanics.bush_contacts import ContactState
-from rfem_jax.mechanics.designs import design
-from rfem_jax.mechanics.discretisation import discretise
-from rfem_jax.mechanics.model import Model
-from rfem_jax.mechanics.model_with_errors import assembly_errors
+from rfem_jax.mechanics.forces.bush_contacts import ContactState
+from rfem_jax.mechanics.model.discretisation import discretise
+from rfem_jax.mechanics.model.model import Model
+from rfem_jax.mechanics.model.with_errors import assembly_errors
 from rfem_jax.mechanics.statics.assembly import Assembled, assemble
+from rfem_jax.mechanics.statics.designs import design
 from rfem_jax.validation import impacts
 from rfem_jax.validation.impacts import CLOSED_FORM, REFERENCE
 from rfem_jax.validation.lines import Line, Outcome, Progress, absolute, relative, same

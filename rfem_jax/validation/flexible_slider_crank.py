@@ -18,9 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from rfem_jax.description import GeneralisedAlpha, GivenSection, Joint, Link, Mechanism, PointForce, PrescribedRate
-from rfem_jax.mechanics.discretisation import discretise
-from rfem_jax.mechanics.model import Coordinates, Model, State
-from rfem_jax.mechanics.status import STATUS
+from rfem_jax.mechanics.model.discretisation import discretise
+from rfem_jax.mechanics.model.model import Coordinates, Model, State
+from rfem_jax.mechanics.model.status import STATUS
 from rfem_jax.simulation import Run, Simulation, simulate
 from rfem_jax.validation.flexible_rod_theory import Rod
 from rfem_jax.validation.lines import Curve, Line, Outcome, Picture, Progress, absolute, relative, same

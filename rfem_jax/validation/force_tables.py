@@ -26,9 +26,9 @@ from rfem_jax.description import (
     PrescribedDisplacements,
     RungeKutta4,
 )
-from rfem_jax.mechanics.discretisation import discretise
-from rfem_jax.mechanics.loads import static_state
-from rfem_jax.mechanics.model import Coordinates
+from rfem_jax.mechanics.dynamics.loads import static_state
+from rfem_jax.mechanics.model.discretisation import discretise
+from rfem_jax.mechanics.model.model import Coordinates
 from rfem_jax.simulation import Run, Simulation, simulate
 from rfem_jax.validation.joint_tables import ARM, GRAVITY, MASS, NONE, ORIGIN, SLIDING, angular_velocity, table_lines
 from rfem_jax.validation.lines import Line, Outcome, Progress, absolute

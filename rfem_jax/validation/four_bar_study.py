@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rfem_jax.description import Case, Joint, Link, Material, Mechanism, MomentRamp, Rectangle, RungeKutta4, Study
-from rfem_jax.mechanics.discretisation import discretise
+from rfem_jax.mechanics.model.discretisation import discretise
 from rfem_jax.simulation import Run, run_cases
 from rfem_jax.validation.lines import Curve, Line, Outcome, Picture, Progress, absolute, relative
 from rfem_jax.validation.reference_values import read_reference

@@ -16,8 +16,8 @@ from jaxtyping import Float
 from scipy.optimize import brentq
 
 from rfem_jax.description import Clearance, Explicit, GeneralisedAlpha, Joint, Mechanism, Method, PrescribedRate
-from rfem_jax.mechanics.discretisation import discretise
-from rfem_jax.mechanics.model import Coordinates, Model, State
+from rfem_jax.mechanics.model.discretisation import discretise
+from rfem_jax.mechanics.model.model import Coordinates, Model, State
 from rfem_jax.simulation import Run, Simulation, simulate
 from rfem_jax.validation.lines import Curve, Line, Picture, Progress, absolute, relative, same
 from rfem_jax.validation.reference_values import read_reference

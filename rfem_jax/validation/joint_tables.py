@@ -21,8 +21,8 @@ from scipy.integrate import solve_ivp
 
 from rfem_jax.description import Joint, JointForceFunction, JointSpring, Mechanism, RungeKutta4
 from rfem_jax.description.forces import JointForce
-from rfem_jax.mechanics.discretisation import discretise
-from rfem_jax.mechanics.loads import static_state
+from rfem_jax.mechanics.dynamics.loads import static_state
+from rfem_jax.mechanics.model.discretisation import discretise
 from rfem_jax.simulation import Run, Simulation, simulate
 from rfem_jax.validation.lines import Line, Outcome, Progress, absolute
 from rfem_jax.validation.reference_values import Reference, read_reference

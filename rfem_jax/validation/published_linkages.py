@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rfem_jax.description import Joint, Link, Mechanism, PointMass, RungeKutta4
-from rfem_jax.mechanics.discretisation import discretise
+from rfem_jax.mechanics.model.discretisation import discretise
 from rfem_jax.simulation import Run, Simulation, simulate
 from rfem_jax.validation import v6_engine
 from rfem_jax.validation.lines import Curve, Line, Outcome, Picture, Progress, absolute, relative

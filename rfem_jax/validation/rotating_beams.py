@@ -22,7 +22,7 @@ from jaxtyping import Float
 
 from rfem_jax.compilation.program import Program
 from rfem_jax.description import GivenSection, Joint, Link, Mechanism, PrescribedSpinUp, RungeKutta4
-from rfem_jax.mechanics.discretisation import discretise
+from rfem_jax.mechanics.model.discretisation import discretise
 from rfem_jax.simulation import STATUS, Run, Simulation, one_of, simulate
 from rfem_jax.validation.lines import Curve, Line, Outcome, Picture, Progress, absolute, relative, same
 from rfem_jax.validation.reference_values import read_reference

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from rfem_jax.description import Joint, Link, Material, Mechanism, MomentRamp, PrescribedRate, Rectangle, RungeKutta4
-from rfem_jax.mechanics.discretisation import discretise
+from rfem_jax.mechanics.model.discretisation import discretise
 from rfem_jax.simulation import Run, Simulation, simulate
 from rfem_jax.validation.joint_cases import Shares, checked
 from rfem_jax.validation.lines import Line, Outcome, Progress, absolute

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.description import Joint, Mechanism, RungeKutta4
-from rfem_jax.mechanics.discretisation import discretise
-from rfem_jax.mechanics.model import Coordinates, State
+from rfem_jax.mechanics.model.discretisation import discretise
+from rfem_jax.mechanics.model.model import Coordinates, State
 from rfem_jax.simulation import Run, Simulation, simulate
 from rfem_jax.validation.lines import Curve, Line, Outcome, Picture, Progress, absolute, relative
 from rfem_jax.validation.rigid_body_theory import FreeBody, HeavyTop, Rotations

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from rfem_jax.description import Joint, Link, Mechanism, PointMass, Rectangle, RigidBody, load_study
 from rfem_jax.mechanics import assembly_errors, discretise
-from rfem_jax.mechanics.model_with_errors import apply_errors
+from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.report.overview import link_rows
 
 from .test_several_drives import SLIDER

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax.mechanics import algebra
+from rfem_jax.mechanics.algebra import vectors
 from tests.processes import in_a_new_process
 
 rng = np.random.default_rng(0)
@@ -16,7 +16,7 @@ rng = np.random.default_rng(0)
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_rotation_turns_about_its_axis_from_the_next_axis_to_the_one_after(axis):
     angles = rng.uniform(-3.0, 3.0, 4)
-    found = np.asarray(algebra.rotation_about(axis, jnp.asarray(angles)))
+    found = np.asarray(vectors.rotation_about(axis, jnp.asarray(angles)))
     unit = np.eye(3)
     following, last = unit[(axis + 1) % 3], unit[(axis + 2) % 3]
     for k, angle in enumerate(angles):
@@ -30,19 +30,19 @@ def test_a_rotation_turns_about_its_axis_from_the_next_axis_to_the_one_after(axi
 
 def test_the_outer_product_is_numpys():
     a, b = np.arange(1.0, 4.0), np.array([2.0, -1.0])
-    np.testing.assert_array_equal(algebra.outer(a, b), np.outer(a, b))
+    np.testing.assert_array_equal(vectors.outer(a, b), np.outer(a, b))
 
 
 def test_the_matrix_of_a_cross_product():
     a, b = rng.normal(size=(2, 3, 5))
-    found = np.einsum("ijk,jk->ik", np.asarray(algebra.cross_matrix(jnp.asarray(a))), b)
+    found = np.einsum("ijk,jk->ik", np.asarray(vectors.cross_matrix(jnp.asarray(a))), b)
     np.testing.assert_allclose(found, np.cross(a, b, axis=0), rtol=1e-14)
 
 
 @pytest.mark.parametrize(("factors", "vectors"), [((), (3,)), ((5,), (6, 5)), ((5,), (3, 1)), ((2, 1), (3, 2, 5))])
 def test_vectors_are_scaled_by_factors_of_their_own(factors, vectors):
     factor, vector = rng.normal(size=factors), rng.normal(size=vectors)
-    found = algebra.scaled(jnp.asarray(factor), jnp.asarray(vector))
+    found = vectors.scaled(jnp.asarray(factor), jnp.asarray(vector))
     np.testing.assert_array_equal(found, factor[None] * vector)
 
 
@@ -50,20 +50,20 @@ def test_vectors_are_scaled_by_factors_of_their_own(factors, vectors):
 def test_inverses_of_positive_matrices(n):
     root = rng.normal(size=(4, n, n))
     matrices = root @ np.swapaxes(root, 1, 2) + np.eye(n)
-    found = algebra.invert_positive(jnp.asarray(np.moveaxis(matrices, 0, -1)))
+    found = vectors.invert_positive(jnp.asarray(np.moveaxis(matrices, 0, -1)))
     np.testing.assert_allclose(np.moveaxis(np.asarray(found), -1, 0), np.linalg.inv(matrices), rtol=1e-9, atol=1e-12)
 
 
 def test_the_inverse_of_a_matrix_that_is_not_symmetric():
     matrix = rng.normal(size=(3, 3))
-    np.testing.assert_allclose(algebra.invert_block(jnp.asarray(matrix)), np.linalg.inv(matrix), rtol=1e-11)
+    np.testing.assert_allclose(vectors.invert_block(jnp.asarray(matrix)), np.linalg.inv(matrix), rtol=1e-11)
 
 
 @pytest.mark.parametrize("indices", [(), (2,), (0, 1, 2), (1, 3), (0, 3), (3, 1), (1, 1), (0, 1, 3)])
 @pytest.mark.parametrize("axis", [-1, 1, 0])
 def test_columns_are_those_of_numpy(indices, axis):
     values = rng.normal(size=(4, 4, 4))
-    found = algebra.columns(jnp.asarray(values), indices, axis)
+    found = vectors.columns(jnp.asarray(values), indices, axis)
     np.testing.assert_array_equal(found, np.take(values, np.array(indices, int), axis=axis))
 
 
@@ -74,29 +74,29 @@ def test_pseudo_inverse(shape, rank):
     rank = min(rank, *shape)
     factors = random.normal(size=(shape[0], rank)), random.normal(size=(rank, shape[1]))
     matrix, change = factors[0] @ factors[1], random.normal(size=(rank, shape[1]))
-    found = jax.jit(lambda a: algebra.pseudo_inverse(a, 1e-9))(jnp.asarray(matrix))
+    found = jax.jit(lambda a: vectors.pseudo_inverse(a, 1e-9))(jnp.asarray(matrix))
     np.testing.assert_allclose(found, np.linalg.pinv(matrix, rcond=1e-9), rtol=1e-9, atol=1e-11)
     if matrix.size:
         # Along a change that keeps the rank.
         along = jnp.asarray(factors[0] @ change)
-        by_rule = jax.jvp(lambda a: algebra.pseudo_inverse(a, 1e-9), (jnp.asarray(matrix),), (along,))[1]
+        by_rule = jax.jvp(lambda a: vectors.pseudo_inverse(a, 1e-9), (jnp.asarray(matrix),), (along,))[1]
         ends = [np.linalg.pinv(factors[0] @ (factors[1] + s * change), rcond=1e-9) for s in (1e-5, -1e-5)]
         np.testing.assert_allclose(by_rule, (ends[0] - ends[1]) / 2e-5, rtol=1e-5, atol=1e-6 * np.abs(found).max())
 
 
 def test_pseudo_inverse_of_what_says_nothing():
     """Entries of rounding count as zero, not as each other's largest."""
-    np.testing.assert_array_equal(algebra.pseudo_inverse(jnp.full((3, 2), 1e-14), 1e-9), np.zeros((2, 3)))
+    np.testing.assert_array_equal(vectors.pseudo_inverse(jnp.full((3, 2), 1e-14), 1e-9), np.zeros((2, 3)))
 
 
 @pytest.mark.parametrize("size", [5, 20])  # by a kernel, and one sample after the other
 @pytest.mark.parametrize("columns", [(), (2,)])
 def test_equations_are_solved_with_derivatives_of_both_orders_in_both_modes(size, columns):
-    assert (size <= algebra.LARGEST_KERNEL) == (size == 5)
+    assert (size <= vectors.LARGEST_KERNEL) == (size == 5)
     matrices = jnp.asarray(rng.normal(size=(3, size, size)))
     values = jnp.asarray(rng.normal(size=(3, size, *columns)))
     for derivative in (lambda function: function, jax.jacfwd, jax.jacrev):
-        found = jax.jit(jax.vmap(derivative(algebra.solve_equations)))(matrices, values)
+        found = jax.jit(jax.vmap(derivative(vectors.solve_equations)))(matrices, values)
         wanted = jax.vmap(derivative(jnp.linalg.solve))(matrices, values)
         np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-11 * np.abs(wanted).max())
     along = matrices[1]
@@ -106,7 +106,7 @@ def test_equations_are_solved_with_derivatives_of_both_orders_in_both_modes(size
 
     for second in (lambda f: jax.jacfwd(jax.jacfwd(f)), lambda f: jax.jacfwd(jax.grad(f))):
         found, wanted = (
-            second(functools.partial(squares, solve))(0.1) for solve in (algebra.solve_equations, jnp.linalg.solve)
+            second(functools.partial(squares, solve))(0.1) for solve in (vectors.solve_equations, jnp.linalg.solve)
         )
         np.testing.assert_allclose(found, wanted, rtol=1e-8)
 
@@ -114,7 +114,7 @@ def test_equations_are_solved_with_derivatives_of_both_orders_in_both_modes(size
 SEVERAL = """
 import jax, jax.numpy as jnp
 jax.config.update("jax_enable_x64", True)
-from rfem_jax.mechanics.algebra import solve_equations
+from rfem_jax.mechanics.algebra.vectors import solve_equations
 matrices = jax.random.normal(jax.random.key(0), (64, 10, 32, 32))
 solved = jax.jit(jax.vmap(lambda of_one: sum(solve_equations(matrix, jnp.ones(32)) for matrix in of_one)))
 for _ in range(20):

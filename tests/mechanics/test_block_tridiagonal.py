@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax.mechanics.implicit import block_tridiagonal
+from rfem_jax.mechanics.algebra import block_tridiagonal
 
 
 def blocks(m: int):

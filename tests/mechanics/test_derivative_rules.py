@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax.mechanics.derivative_rules import implicit_function
+from rfem_jax.mechanics.algebra.derivative_rules import implicit_function
 
 P = jnp.array([4.0, 9.0])
 

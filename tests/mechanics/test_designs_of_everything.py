@@ -38,8 +38,8 @@ from rfem_jax import (
 )
 from rfem_jax.description.parameters import parameters_of
 from rfem_jax.description.parts import number_at, parts_of, scaled, with_number
-from rfem_jax.mechanics.designs import _plan_of, designed
-from rfem_jax.mechanics.model_building import PartStructure, arrays_of
+from rfem_jax.mechanics.model.building import PartStructure, arrays_of
+from rfem_jax.mechanics.statics.designs import _plan_of, designed
 
 STEEL = Material("steel", youngs_modulus=210e9, density=7850.0, poisson_ratio=0.3, damping=1e-5)
 BRASS = Material("brass", youngs_modulus=1e11, density=8400.0, shear_modulus=3.7e10, damping=2e-5)

@@ -11,15 +11,15 @@ import pytest
 
 from rfem_jax import Compliance, Joint, JointFriction, Mechanism, PointSpring, assembly_errors, discretise
 from rfem_jax.kernels import kernel
-from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.dynamics import accelerations
-from rfem_jax.mechanics.friction import friction_lines
-from rfem_jax.mechanics.friction_laws import friction_law
+from rfem_jax.mechanics.dynamics import loads
+from rfem_jax.mechanics.dynamics.dynamics import accelerations
+from rfem_jax.mechanics.forces.friction import friction_lines
+from rfem_jax.mechanics.forces.joint_forces import FrictionState
 from rfem_jax.mechanics.implicit.residual import evaluate_residual
-from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
-from rfem_jax.mechanics.joint_forces import FrictionState
-from rfem_jax.mechanics.model_with_errors import apply_errors
-from rfem_jax.mechanics.reference_friction import reference_with_friction
+from rfem_jax.mechanics.laws.friction_laws import friction_law
+from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation
+from rfem_jax.mechanics.model.with_errors import apply_errors
+from rfem_jax.mechanics.reference.friction import reference_with_friction
 from tests.mechanisms import link, loop_cut_by, random_state, some_errors
 
 from .test_formulations import close

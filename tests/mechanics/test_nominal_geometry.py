@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from rfem_jax import InputError, assembly_errors, describe, discretise
-from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.cut_joints import closure
-from rfem_jax.mechanics.kinematics import motion_of
-from rfem_jax.mechanics.model import Coordinates
-from rfem_jax.mechanics.model_with_errors import apply_errors
-from rfem_jax.mechanics.nominal_geometry import closure_jacobian, gaps, geometry_of, place
+from rfem_jax.mechanics.dynamics import loads
+from rfem_jax.mechanics.kinematics.cut_joints import closure
+from rfem_jax.mechanics.kinematics.motion import motion_of
+from rfem_jax.mechanics.model.model import Coordinates
+from rfem_jax.mechanics.model.nominal_geometry import closure_jacobian, gaps, geometry_of, place
+from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics.assembly import length_scale
 from rfem_jax.report.overview import count_lines
 from tests.mechanisms import link, twisted_spatial_loop, two_loop_six_bar

@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rfem_jax import Compliance, Joint, Mechanism, discretise
-from rfem_jax.mechanics.nominal_geometry import gaps, geometry_of, place
-from rfem_jax.mechanics.nominal_path import nearest_closed, nominal_shapes
+from rfem_jax.mechanics.model.nominal_geometry import gaps, geometry_of, place
+from rfem_jax.mechanics.model.nominal_path import nearest_closed, nominal_shapes
 from tests.mechanisms import chain_with_balls, four_bar, link, loop_with_a_ball
 
 CRANK, COUPLER, ROCKER, BASE = 0.12, 0.30, 0.30, 0.30

@@ -7,28 +7,28 @@ import numpy as np
 import pytest
 
 from rfem_jax.kernels import kernel
-from rfem_jax.mechanics import algebra, products
+from rfem_jax.mechanics.algebra import products, vectors
 
 rng = np.random.default_rng(0)
 
 # Name: function, the same by JAX's operations, shapes of its arguments.
 CASES = {
-    "dot": (algebra.dot, lambda a, b: jnp.sum(a * b, axis=0), (3, 4), (3, 4)),
-    "apply": (algebra.apply, lambda a, b: jnp.einsum("mnk,nk->mk", a, b), (2, 3, 4), (3, 4)),
-    "apply_transposed": (algebra.apply_transposed, lambda a, b: jnp.einsum("nmk,nk->mk", a, b), (3, 2, 4), (3, 4)),
-    "product": (algebra.product, lambda a, b: jnp.einsum("mnk,npk->mpk", a, b), (2, 3, 4), (3, 5, 4)),
+    "dot": (vectors.dot, lambda a, b: jnp.sum(a * b, axis=0), (3, 4), (3, 4)),
+    "apply": (vectors.apply, lambda a, b: jnp.einsum("mnk,nk->mk", a, b), (2, 3, 4), (3, 4)),
+    "apply_transposed": (vectors.apply_transposed, lambda a, b: jnp.einsum("nmk,nk->mk", a, b), (3, 2, 4), (3, 4)),
+    "product": (vectors.product, lambda a, b: jnp.einsum("mnk,npk->mpk", a, b), (2, 3, 4), (3, 5, 4)),
     "product_transposed": (
-        algebra.product_transposed, lambda a, b: jnp.einsum("mnk,pnk->mpk", a, b), (2, 3, 4), (5, 3, 4),
+        vectors.product_transposed, lambda a, b: jnp.einsum("mnk,pnk->mpk", a, b), (2, 3, 4), (5, 3, 4),
     ),
     "transposed_product": (
-        algebra.transposed_product, lambda a, b: jnp.einsum("nmk,npk->mpk", a, b), (3, 2, 4), (3, 5, 4),
+        vectors.transposed_product, lambda a, b: jnp.einsum("nmk,npk->mpk", a, b), (3, 2, 4), (3, 5, 4),
     ),
-    "without later axes": (algebra.product, lambda a, b: a @ b, (2, 3), (3, 5)),
-    "broadcast": (algebra.apply, lambda a, b: jnp.einsum("mnkl,nl->mkl", a, b[:, 0]), (2, 3, 4, 5), (3, 1, 5)),
-    "broadcast both": (algebra.dot, lambda a, b: jnp.sum(a * b, axis=0), (3, 1, 5), (3, 4, 1)),
-    "cross": (algebra.cross, lambda a, b: jnp.cross(a, b, axis=0), (3, 4), (3, 4)),
-    "cross, broadcast": (algebra.cross, lambda a, b: jnp.cross(a, b, axis=0), (3, 1, 4), (3, 5, 4)),
-    "cross, both broadcast": (algebra.cross, lambda a, b: jnp.cross(a, b, axis=0), (3, 1, 4), (3, 5, 1)),
+    "without later axes": (vectors.product, lambda a, b: a @ b, (2, 3), (3, 5)),
+    "broadcast": (vectors.apply, lambda a, b: jnp.einsum("mnkl,nl->mkl", a, b[:, 0]), (2, 3, 4, 5), (3, 1, 5)),
+    "broadcast both": (vectors.dot, lambda a, b: jnp.sum(a * b, axis=0), (3, 1, 5), (3, 4, 1)),
+    "cross": (vectors.cross, lambda a, b: jnp.cross(a, b, axis=0), (3, 4), (3, 4)),
+    "cross, broadcast": (vectors.cross, lambda a, b: jnp.cross(a, b, axis=0), (3, 1, 4), (3, 5, 4)),
+    "cross, both broadcast": (vectors.cross, lambda a, b: jnp.cross(a, b, axis=0), (3, 1, 4), (3, 5, 1)),
 }  # fmt: skip
 
 
@@ -116,6 +116,6 @@ def test_a_sum_of_constant_matrices(run):
 @pytest.mark.wrong_types
 def test_arrays_that_do_not_fit_are_refused():
     with pytest.raises(ValueError, match="not equally many axes"):
-        algebra.apply(np.ones((3, 3, 2)), np.ones(3))
+        vectors.apply(np.ones((3, 3, 2)), np.ones(3))
     with pytest.raises(ValueError, match="axes of 3 and 2 entries"):
-        algebra.apply(np.ones((3, 3)), np.ones(2))
+        vectors.apply(np.ones((3, 3)), np.ones(2))

@@ -36,13 +36,13 @@ from rfem_jax import (
 )
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import named_method
-from rfem_jax.mechanics import loads as joint_loads
-from rfem_jax.mechanics.dynamics import accelerations
-from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
-from rfem_jax.mechanics.model import Coordinates, State, length_scale
-from rfem_jax.mechanics.model_with_errors import apply_errors
-from rfem_jax.mechanics.nominal_geometry import closure_jacobian, geometry_of, place
-from rfem_jax.mechanics.reference_loads import reference_reactions
+from rfem_jax.mechanics.dynamics import loads as joint_loads
+from rfem_jax.mechanics.dynamics.dynamics import accelerations
+from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation
+from rfem_jax.mechanics.model.model import Coordinates, State, length_scale
+from rfem_jax.mechanics.model.nominal_geometry import closure_jacobian, geometry_of, place
+from rfem_jax.mechanics.model.with_errors import apply_errors
+from rfem_jax.mechanics.reference.loads import reference_reactions
 from tests.mechanisms import four_bar, link, twisted_spatial_loop
 
 GRAVITY = 9.81

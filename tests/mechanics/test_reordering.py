@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rfem_jax.kernels import kernel
-from rfem_jax.mechanics.reordering import reorder, repeat, rows, sum_groups
+from rfem_jax.mechanics.algebra.reordering import reorder, repeat, rows, sum_groups
 
 ORDER = (2, 0, 3, 1)
 X = np.random.default_rng(1).normal(size=(3, 4, 5))

@@ -9,13 +9,13 @@ import pytest
 
 from rfem_jax import PointForce, PointMass, discretise
 from rfem_jax.kernels import kernel
-from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.dynamics import accelerations
-from rfem_jax.mechanics.frame_forces import Time
-from rfem_jax.mechanics.inputs import DriveInput, Stabilisation, impose
-from rfem_jax.mechanics.kinematics import all_frames
-from rfem_jax.mechanics.model_with_errors import apply_errors
-from rfem_jax.mechanics.section_loads import loads_of_sections
+from rfem_jax.mechanics.dynamics import loads
+from rfem_jax.mechanics.dynamics.dynamics import accelerations
+from rfem_jax.mechanics.dynamics.section_loads import loads_of_sections
+from rfem_jax.mechanics.kinematics.motion import all_frames
+from rfem_jax.mechanics.laws.frame_forces import Time
+from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation, impose
+from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.simulation.observation import solved_instant
 from tests.mechanics.test_formulations import close
 from tests.mechanisms import random_state, some_errors, two_loop_six_bar

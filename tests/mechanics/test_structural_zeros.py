@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from rfem_jax import discretise
-from rfem_jax.mechanics import model_with_errors
-from rfem_jax.mechanics.model_with_errors import with_structural_zeros
+from rfem_jax.mechanics.model import with_errors as model_with_errors
+from rfem_jax.mechanics.model.with_errors import with_structural_zeros
 from tests.mechanisms import four_bar, six_link_loop, some_errors, three_link_loop
 
 

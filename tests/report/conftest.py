@@ -8,7 +8,7 @@ import pytest
 
 import rfem_jax.simulation
 from rfem_jax.description import load_study
-from rfem_jax.mechanics.discretisation import StartHeld
+from rfem_jax.mechanics.model.discretisation import StartHeld
 from rfem_jax.report import command_line
 from rfem_jax.report.tasks import study_problem
 from tests.description.conftest import refused  # noqa: F401

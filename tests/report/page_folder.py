@@ -4,9 +4,9 @@ import json
 
 import numpy as np
 
-from rfem_jax.mechanics.discretisation import discretise
-from rfem_jax.mechanics.nominal_geometry import geometry_of
-from rfem_jax.mechanics.nominal_path import nearest_closed, nominal_shapes
+from rfem_jax.mechanics.model.discretisation import discretise
+from rfem_jax.mechanics.model.nominal_geometry import geometry_of
+from rfem_jax.mechanics.model.nominal_path import nearest_closed, nominal_shapes
 from rfem_jax.report.files import write_files
 from rfem_jax.report.page.acting import ACTING
 from rfem_jax.report.page.animation import PARTS, write_arrays

@@ -15,7 +15,7 @@ from types import ModuleType, SimpleNamespace
 import pytest
 
 import rfem_jax
-import rfem_jax.mechanics.designs  # the module itself serves beside the stand-in for its package
+import rfem_jax.mechanics.statics.designs  # the module itself serves beside the stand-in for its package
 from rfem_jax import task_kinds
 from rfem_jax.compilation import cache, keeping
 from rfem_jax.compilation.cache import user_cache_folder
@@ -171,7 +171,7 @@ def test_what_no_folder_or_machine_is_is_refused_first(packages, study_file, tmp
 def test_what_is_wrong_with_the_mechanism_is_said_with_the_file(packages, study_file, tmp_path, capsys, monkeypatch):
     designs = ModuleType("designs")
     designs.model_of_study = refuse
-    monkeypatch.setitem(sys.modules, "rfem_jax.mechanics.designs", designs)
+    monkeypatch.setitem(sys.modules, "rfem_jax.mechanics.statics.designs", designs)
     for command in (["check", str(study_file)], ["run", str(study_file), "--out", str(tmp_path)]):
         assert main(command) == 2
         assert str(study_file) in one_sentence(capsys)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from rfem_jax import Clearance, discretise
-from rfem_jax.mechanics.bush_contacts import ContactState
+from rfem_jax.mechanics.forces.bush_contacts import ContactState
 from rfem_jax.mechanics.statics.assembly import Load
 from rfem_jax.report.analyses.turn_report import turn_figure, turn_text, write_turn
 from rfem_jax.report.contact_figures import orbit_figures

@@ -17,7 +17,7 @@ from rfem_jax import (
     simulate,
 )
 from rfem_jax.kernels import is_available, left_to_xla, registry
-from rfem_jax.mechanics.loads import static_state
+from rfem_jax.mechanics.dynamics.loads import static_state
 from tests.mechanisms import four_bar
 from tests.simulation.test_mixed_derivatives import MIXED, exact_arm, guide_that_rubs
 

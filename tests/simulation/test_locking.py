@@ -22,7 +22,7 @@ from rfem_jax import (
     simulate,
 )
 from rfem_jax.description.methods import named_method
-from rfem_jax.mechanics.status import PAST_LIMIT
+from rfem_jax.mechanics.model.status import PAST_LIMIT
 from rfem_jax.simulation.cases import run_cases
 from rfem_jax.simulation.locking import drive_limit
 from tests.mechanisms import four_bar, link

@@ -53,7 +53,7 @@ from rfem_jax import (
     simulate,
 )
 from rfem_jax.description.error_catalogue import error_dimension
-from rfem_jax.mechanics.loads import static_state
+from rfem_jax.mechanics.dynamics.loads import static_state
 from rfem_jax.simulation.driving import drive_numbers
 from tests.evaluation import evaluated
 from tests.mechanisms import BUSHING, chain_with_balls, chain_with_drives, four_bar, loop_cut_by, loop_with_a_ball

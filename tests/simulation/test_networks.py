@@ -23,7 +23,7 @@ from rfem_jax import (
     discretise,
     simulate,
 )
-from rfem_jax.mechanics.designs import designed
+from rfem_jax.mechanics.statics.designs import designed
 from tests.evaluation import evaluated
 from tests.mechanisms import link
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from rfem_jax import Joint, Mechanism, assembly_errors, discretise
-from rfem_jax.mechanics.branches import assembly_modes
-from rfem_jax.mechanics.cut_joints import closure
-from rfem_jax.mechanics.kinematics import motion_of
-from rfem_jax.mechanics.loads import static_state
-from rfem_jax.mechanics.model_with_errors import apply_errors
+from rfem_jax.mechanics.dynamics.loads import static_state
+from rfem_jax.mechanics.kinematics.branches import assembly_modes
+from rfem_jax.mechanics.kinematics.cut_joints import closure
+from rfem_jax.mechanics.kinematics.motion import motion_of
+from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics.assembly import length_scale
 from tests.mechanisms import link
 

@@ -22,8 +22,8 @@ from rfem_jax import (
     simulate,
 )
 from rfem_jax.description.study import Case, Study
-from rfem_jax.mechanics import kinematics
-from rfem_jax.mechanics.status import DIVERGED, NOT_ASSEMBLED
+from rfem_jax.mechanics.kinematics import motion as kinematics
+from rfem_jax.mechanics.model.status import DIVERGED, NOT_ASSEMBLED
 from rfem_jax.simulation import integration
 from tests.mechanisms import STEEL, four_bar, link
 

@@ -8,7 +8,7 @@ import pytest
 
 from rfem_jax import assembly_errors
 from rfem_jax.description.errors import InputError
-from rfem_jax.mechanics.centre_lines import trace_shapes
+from rfem_jax.mechanics.dynamics.centre_lines import trace_shapes
 from tests.report.page_folder import content_of
 
 ERRORS = {"D.delta_x": 0.004, "D.d_y": 2e-4}

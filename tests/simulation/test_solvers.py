@@ -159,7 +159,7 @@ def test_leapfrog_needs_a_velocity_of_second_order():
     """On x'' = -k x - c x' the method is of order 2; its order would drop to 1 if the damping read
     a lagging velocity."""
 
-    from rfem_jax.mechanics.model import Coordinates
+    from rfem_jax.mechanics.model.model import Coordinates
 
     class Y(eqx.Module):
         position: Coordinates

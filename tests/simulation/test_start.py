@@ -32,7 +32,7 @@ from rfem_jax import (
     parameters,
     simulate,
 )
-from rfem_jax.mechanics.discretisation import describe
+from rfem_jax.mechanics.model.discretisation import describe
 from rfem_jax.report.files import start_of, write_files
 from rfem_jax.report.summary import summarise
 from rfem_jax.simulation import integration

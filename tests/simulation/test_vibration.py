@@ -26,10 +26,10 @@ from rfem_jax import (
     simulate,
 )
 from rfem_jax.description.methods import named_method
-from rfem_jax.mechanics.dynamics import accelerations
-from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
-from rfem_jax.mechanics.model import Coordinates, State
-from rfem_jax.mechanics.model_with_errors import apply_errors
+from rfem_jax.mechanics.dynamics.dynamics import accelerations
+from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation
+from rfem_jax.mechanics.model.model import Coordinates, State
+from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.simulation import stability, vibration, vibration_matrices
 from rfem_jax.simulation.stepping import stabilisation_of
 from rfem_jax.simulation.vibration import Modes, Vibration

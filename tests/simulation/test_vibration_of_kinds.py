@@ -9,12 +9,12 @@ from jax.flatten_util import ravel_pytree
 
 from rfem_jax import RungeKutta4, Simulation, assembly_errors, check_step, discretise, simulate
 from rfem_jax.description.errors import InputError
-from rfem_jax.mechanics.dynamics import accelerations
-from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
-from rfem_jax.mechanics.loads import static_state
-from rfem_jax.mechanics.model import State
-from rfem_jax.mechanics.model_with_errors import apply_errors
-from rfem_jax.mechanics.orientations import moved
+from rfem_jax.mechanics.dynamics.dynamics import accelerations
+from rfem_jax.mechanics.dynamics.loads import static_state
+from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation
+from rfem_jax.mechanics.model.model import State
+from rfem_jax.mechanics.model.orientations import moved
+from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.simulation.vibration import Vibration
 from tests.mechanisms import chain_of_kinds, chain_with_balls, loop_cut_by, two_cuts_of_different_kinds
 

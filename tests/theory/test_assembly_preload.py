@@ -23,8 +23,8 @@ import numpy as np
 import pytest
 
 from rfem_jax import assemble, assembly_errors, discretise, load_study
-from rfem_jax.mechanics.loads import static_state
-from rfem_jax.mechanics.model_with_errors import apply_errors
+from rfem_jax.mechanics.dynamics.loads import static_state
+from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics.assembly import equilibrium, named, static_loads
 
 STUDIES = Path(__file__).parents[2] / "studies"

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from rfem_jax import assemble, assembly_errors, design, discretise
-from rfem_jax.mechanics.designs import designed
-from rfem_jax.mechanics.model_with_errors import apply_errors
+from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics import contact
 from rfem_jax.mechanics.statics.assembly import equilibrium, held_angles
+from rfem_jax.mechanics.statics.designs import designed
 from rfem_jax.validation.clearances import HARD, HERTZ, PLAY, TILT, depth_at_rest, flexible_four_bar, hung
 
 

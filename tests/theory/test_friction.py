@@ -29,8 +29,8 @@ from rfem_jax import (
     discretise,
     simulate,
 )
-from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.model import Coordinates
+from rfem_jax.mechanics.dynamics import loads
+from rfem_jax.mechanics.model.model import Coordinates
 from rfem_jax.simulation.stability import eigenvalues, largest_stable_step
 from tests.mechanisms import four_bar
 

@@ -25,8 +25,8 @@ from rfem_jax import (
     discretise,
     simulate,
 )
-from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.model_with_errors import apply_errors
+from rfem_jax.mechanics.dynamics import loads
+from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.simulation import vibration
 from rfem_jax.simulation.stability import eigenvalues, largest_stable_step
 from tests.mechanisms import four_bar, link

@@ -28,9 +28,9 @@ from rfem_jax import (
     discretise,
     simulate,
 )
-from rfem_jax.mechanics.loads import static_state
-from rfem_jax.mechanics.model import State
-from rfem_jax.mechanics.model_with_errors import apply_errors
+from rfem_jax.mechanics.dynamics.loads import static_state
+from rfem_jax.mechanics.model.model import State
+from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics.assembly import equilibrium
 from rfem_jax.validation import slider_cranks, spatial_linkages
 from rfem_jax.validation.joint_cases import preload_lines

@@ -31,7 +31,7 @@ from rfem_jax import (
     discretise,
     simulate,
 )
-from rfem_jax.mechanics.loads import static_state
+from rfem_jax.mechanics.dynamics.loads import static_state
 from rfem_jax.validation.reference_values import read_reference
 
 SEGMENTS = (10, 20)

@@ -22,7 +22,7 @@ from rfem_jax import (
     discretise,
     simulate,
 )
-from rfem_jax.mechanics.loads import static_state
+from rfem_jax.mechanics.dynamics.loads import static_state
 from tests.mechanisms import chain_of_kinds, link
 
 LENGTH, MASS, G = 0.3, 7850.0 * 0.01**2 * 0.3, 9.81

@@ -25,10 +25,10 @@ from rfem_jax import (
     monte_carlo,
     simulate,
 )
-from rfem_jax.mechanics.centre_lines import link_ends
-from rfem_jax.mechanics.kinematics import motion_of
-from rfem_jax.mechanics.loads import static_state
-from rfem_jax.mechanics.model_with_errors import apply_errors
+from rfem_jax.mechanics.dynamics.centre_lines import link_ends
+from rfem_jax.mechanics.dynamics.loads import static_state
+from rfem_jax.mechanics.kinematics.motion import motion_of
+from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.simulation.remarks import remarks_on
 
 # L = E I = G J = 1; without shear and stretch.

@@ -25,7 +25,7 @@ from rfem_jax import (
     discretise,
     simulate,
 )
-from rfem_jax.mechanics import loads
+from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.simulation.stability import eigenvalues, largest_stable_step
 from tests.mechanisms import link
 

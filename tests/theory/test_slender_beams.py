@@ -25,7 +25,7 @@ from rfem_jax import (
     assembly_errors,
     discretise,
 )
-from rfem_jax.mechanics.model import Sections
+from rfem_jax.mechanics.model.model import Sections
 from rfem_jax.validation.reference_values import read_reference
 
 M = 10  # segments

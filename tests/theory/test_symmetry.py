@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from rfem_jax import Coordinates, State, assembly_errors
-from rfem_jax.mechanics.dynamics import accelerations
-from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
-from rfem_jax.mechanics.model_with_errors import apply_errors
+from rfem_jax.mechanics.dynamics.dynamics import accelerations
+from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation
+from rfem_jax.mechanics.model.with_errors import apply_errors
 
 
 @pytest.fixture

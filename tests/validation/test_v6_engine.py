@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from rfem_jax import Coordinates, State, discretise
-from rfem_jax.mechanics.dynamics import accelerations
-from rfem_jax.mechanics.inputs import DriveInput, Stabilisation
-from rfem_jax.mechanics.model_with_errors import apply_errors, assembly_errors
+from rfem_jax.mechanics.dynamics.dynamics import accelerations
+from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation
+from rfem_jax.mechanics.model.with_errors import apply_errors, assembly_errors
 from rfem_jax.validation import v6_engine as engine
 from tests.evaluation import evaluated
 

@@ -20,13 +20,13 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from rfem_jax.mechanics.algebra import apply_transposed, invert_block
+from rfem_jax.mechanics.algebra.reordering import reorder
+from rfem_jax.mechanics.algebra.vectors import apply_transposed, invert_block
 from rfem_jax.mechanics.elements import exact_elements
 from rfem_jax.mechanics.elements.exact_elements import SpringBlocks, from_left, spring_blocks, to_left
-from rfem_jax.mechanics.kinematics import RelativeMotion, relative_motion
-from rfem_jax.mechanics.model import Coordinates, State
-from rfem_jax.mechanics.model_with_errors import ModelWithErrors
-from rfem_jax.mechanics.reordering import reorder
+from rfem_jax.mechanics.kinematics.motion import RelativeMotion, relative_motion
+from rfem_jax.mechanics.model.model import Coordinates, State
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 # (a, b) of two vectors as (b_x, b_z, b_y, a_x, a_z, a_y); with these signs, of a vector's product with (1, 0, 0).
 EXCHANGED = (3, 5, 4, 0, 2, 1)

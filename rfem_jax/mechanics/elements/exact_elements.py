@@ -28,11 +28,11 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from rfem_jax.mechanics import algebra
-from rfem_jax.mechanics.algebra import cross, dot, product, transpose, transposed_product
-from rfem_jax.mechanics.kinematics import RelativeMotion
-from rfem_jax.mechanics.model_with_errors import ModelWithErrors
-from rfem_jax.mechanics.reordering import reorder
+from rfem_jax.mechanics.algebra import vectors
+from rfem_jax.mechanics.algebra.reordering import reorder
+from rfem_jax.mechanics.algebra.vectors import cross, dot, product, transpose, transposed_product
+from rfem_jax.mechanics.kinematics.motion import RelativeMotion
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 # (asin(r)/r - 1)/r^2 in powers of r^2, for r below SMALL: angles below 0.1 rad.
 SERIES = (1 / 6, 3 / 40, 5 / 112, 35 / 1152, 63 / 2816, 231 / 13312, 143 / 10240)
@@ -60,7 +60,7 @@ class ExactDeflections(NamedTuple):
 def deflections(actual: ModelWithErrors, u: Float[Array, "3 rfes"], relative: RelativeMotion) -> ExactDeflections:
     """Deflections of all sdes from the displacements u [m] of the rfes' middles and the relative motion."""
     # R - 1, displacements and velocities of the right and the left rfe of every sde; all zero for rfe 0.
-    identity = jnp.asarray(algebra.IDENTITY[:, :, None])
+    identity = jnp.asarray(vectors.IDENTITY[:, :, None])
     rotated = relative.rotation - identity
     n = actual.topology.n_rfes
     right = jnp.concatenate([rotated.reshape((9, n)), u, relative.angular, relative.linear])

@@ -15,9 +15,9 @@ from jax import Array
 from jaxtyping import Float
 
 from rfem_jax.mechanics.elements import elasticity
-from rfem_jax.mechanics.kinematics import total
-from rfem_jax.mechanics.model import Coordinates, State
-from rfem_jax.mechanics.model_with_errors import ModelWithErrors
+from rfem_jax.mechanics.kinematics.motion import total
+from rfem_jax.mechanics.model.model import Coordinates, State
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 # Of the squared rotation at the tip of a cantilever, by which its deflection under a force there is too large.
 ERROR_BY_ROTATION = 0.45

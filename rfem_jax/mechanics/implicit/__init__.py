@@ -1,7 +1,6 @@
 """The equations as a residual, and Newton increments of it by recursion over the links.
 
 residual            of the equations, for given accelerations and multipliers
-block_tridiagonal   linear systems of the rfes of a link
 condensation        flexible links condensed to their frames and interfaces
 newton              the increments, from the joints and interfaces to the rfes
 """

@@ -21,8 +21,9 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from rfem_jax.mechanics import algebra
-from rfem_jax.mechanics.algebra import (
+from rfem_jax.mechanics.algebra import vectors
+from rfem_jax.mechanics.algebra.block_tridiagonal import solve
+from rfem_jax.mechanics.algebra.vectors import (
     apply,
     apply_transposed,
     by_component,
@@ -35,11 +36,10 @@ from rfem_jax.mechanics.algebra import (
     transpose,
     transposed_product,
 )
-from rfem_jax.mechanics.implicit.block_tridiagonal import solve
 from rfem_jax.mechanics.implicit.condensation import LinkOperator, root_inertia
-from rfem_jax.mechanics.kinematics import Motion
-from rfem_jax.mechanics.model import BASE, Topology
-from rfem_jax.mechanics.model_with_errors import ModelWithErrors
+from rfem_jax.mechanics.kinematics.motion import Motion
+from rfem_jax.mechanics.model.model import BASE, Topology
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 
 class Outboard(NamedTuple):
@@ -108,7 +108,7 @@ def tree_wrenches(links: tuple[ArticulatedLink, ...], response: Response) -> lis
     wrenches = []
     for link, load, acceleration in zip(links, response.loads, response.links):
         wrench = apply(link.inertia, acceleration) - load
-        wrenches.append(algebra.wrench_at_origin(wrench[:3], wrench[3:], link.point))
+        wrenches.append(vectors.wrench_at_origin(wrench[:3], wrench[3:], link.point))
     return wrenches
 
 
@@ -125,7 +125,7 @@ def node_points(topology: Topology, motion: Motion) -> dict[int, Array]:
 def _wrench_transform(rotation: Array | np.ndarray, arm: Array) -> Float[Array, "6 6"]:
     """From wrenches in rotated axes at a point to wrenches at another, from which `arm` reaches to the first."""
     zeros = jnp.zeros_like(rotation)
-    top = jnp.concatenate([rotation, product(algebra.cross_matrix(arm), rotation)], axis=1)
+    top = jnp.concatenate([rotation, product(vectors.cross_matrix(arm), rotation)], axis=1)
     return jnp.concatenate([top, jnp.concatenate([zeros, rotation], axis=1)])
 
 
@@ -149,7 +149,7 @@ def _congruent(rotations: Sequence[Array], matrix: Array) -> Array:
 def _inverse_transposed(rotations: Sequence[Array]) -> tuple[Array, ...]:
     """The matrices that transform a stiffness where `rotations` transform the compliance; those of angles' rates
     are not orthogonal."""
-    return tuple(transpose(algebra.invert_block(r)) for r in rotations)
+    return tuple(transpose(vectors.invert_block(r)) for r in rotations)
 
 
 def _interface_rotations(topology: Topology, motion: Motion, link: int) -> tuple[Array, ...]:
@@ -194,7 +194,7 @@ def eliminate(
                 inertia = inertia + product_transposed(product(transfer, reduced), transfer)
         before, axes, hinges = inertia, [], []
         for k in reversed(topology.coordinates[l]):
-            axis = algebra.spatial(motion.axis[:3, k], motion.axis[3:, k] + cross(motion.axis[:3, k], points[l]))
+            axis = vectors.spatial(motion.axis[:3, k], motion.axis[3:, k] + cross(motion.axis[:3, k], points[l]))
             hinge = None
             if k not in held:
                 force_rows = apply(inertia, axis)
@@ -233,7 +233,7 @@ def _interface_operator(
         return InterfaceOperator(transfer, compliance, None)
     inertia = _block_diagonal([outboard.get(node) for node in nodes])
     stiffness = _congruent(_inverse_transposed(rotations), operator.stiffness)
-    transmissibility = product(algebra.invert_positive(stiffness + inertia), stiffness)
+    transmissibility = product(vectors.invert_positive(stiffness + inertia), stiffness)
     return InterfaceOperator(transfer, compliance, Outboard(inertia, transmissibility))
 
 

@@ -31,13 +31,13 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from rfem_jax.mechanics import algebra
-from rfem_jax.mechanics.algebra import apply, product, product_transposed
+from rfem_jax.mechanics.algebra import vectors
+from rfem_jax.mechanics.algebra.block_tridiagonal import Factored, factor, solve
+from rfem_jax.mechanics.algebra.vectors import apply, product, product_transposed
 from rfem_jax.mechanics.elements import elasticity, exact_elements
-from rfem_jax.mechanics.implicit.block_tridiagonal import Factored, factor, solve
-from rfem_jax.mechanics.kinematics import RelativeMotion
-from rfem_jax.mechanics.model import Topology
-from rfem_jax.mechanics.model_with_errors import ModelWithErrors
+from rfem_jax.mechanics.kinematics.motion import RelativeMotion
+from rfem_jax.mechanics.model.model import Topology
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 
 class LinkOperator(NamedTuple):
@@ -114,9 +114,9 @@ class _RigidBodies(NamedTuple):
 def _rigid_bodies(actual: ModelWithErrors, centre: Array, inertia: Array, middle: Array) -> _RigidBodies:
     """Bodies of links whose free rfes have centres (3, rfes), central inertias (3, 3, rfes) and middles (3, rfes)."""
     n = actual.topology.n_links
-    mass = jnp.moveaxis(algebra.spatial_inertia(actual.mass[n:], centre, inertia), 2, 0)
+    mass = jnp.moveaxis(vectors.spatial_inertia(actual.mass[n:], centre, inertia), 2, 0)
     # Motion of the rfes' middles when the link frame moves: linear += angular x position.
-    shift = jnp.moveaxis(algebra.cross_matrix(middle), 2, 0)
+    shift = jnp.moveaxis(vectors.cross_matrix(middle), 2, 0)
     rigid_modes = jnp.broadcast_to(jnp.eye(6), mass.shape).at[:, 3:, :3].set(-shift)
     coupling = mass @ rigid_modes
     moved = rigid_modes.swapaxes(1, 2) @ coupling
@@ -125,7 +125,7 @@ def _rigid_bodies(actual: ModelWithErrors, centre: Array, inertia: Array, middle
 
 def root_inertia(actual: ModelWithErrors, link: int | slice) -> Float[Array, "6 6 *links"]:
     """Spatial inertia of a link's rfe 0, or that of several links, at its frame, in its axes."""
-    return algebra.spatial_inertia(actual.mass[link], actual.centre[:, link], actual.inertia[:, :, link])
+    return vectors.spatial_inertia(actual.mass[link], actual.centre[:, link], actual.inertia[:, :, link])
 
 
 def present_operators(
@@ -178,7 +178,7 @@ def _condense(
         inertia=rigid - coupling.reshape(6 * m, 6).T @ rigid_response,
         frame_to_interface=rigid_response[rows],
         compliance=compliance,
-        stiffness=algebra.invert_positive(compliance),
+        stiffness=vectors.invert_positive(compliance),
         interface_rows=interface_rows,
         rigid_response=rigid_response,
     )

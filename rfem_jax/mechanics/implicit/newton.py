@@ -18,8 +18,8 @@ import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float
 
-from rfem_jax.mechanics import algebra
-from rfem_jax.mechanics.algebra import (
+from rfem_jax.mechanics.algebra import vectors
+from rfem_jax.mechanics.algebra.vectors import (
     apply,
     apply_transposed,
     by_component,
@@ -28,9 +28,9 @@ from rfem_jax.mechanics.algebra import (
     product,
     transposed_product,
 )
-from rfem_jax.mechanics.cut_joints import Closure, unit_columns
-from rfem_jax.mechanics.element_loads import ElementTangents
-from rfem_jax.mechanics.friction import joint_wrenches
+from rfem_jax.mechanics.forces.element_loads import ElementTangents
+from rfem_jax.mechanics.forces.friction import joint_wrenches
+from rfem_jax.mechanics.forces.joint_forces import CutForces
 from rfem_jax.mechanics.implicit.articulated_links import (
     ArticulatedLink,
     Response,
@@ -43,11 +43,11 @@ from rfem_jax.mechanics.implicit.articulated_links import (
 )
 from rfem_jax.mechanics.implicit.condensation import LinkOperator
 from rfem_jax.mechanics.implicit.residual import Residual
-from rfem_jax.mechanics.joint_forces import CutForces
-from rfem_jax.mechanics.kinematics import Motion
-from rfem_jax.mechanics.model import BASE, Coordinates, Topology
-from rfem_jax.mechanics.model_with_errors import ModelWithErrors
-from rfem_jax.mechanics.self_stress import inverse_closure, redundancy
+from rfem_jax.mechanics.kinematics.cut_joints import Closure, unit_columns
+from rfem_jax.mechanics.kinematics.motion import Motion
+from rfem_jax.mechanics.kinematics.self_stress import inverse_closure, redundancy
+from rfem_jax.mechanics.model.model import BASE, Coordinates, Topology
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 
 class ClosureMatrix(NamedTuple):
@@ -170,7 +170,7 @@ def _element_matrix(
     Woodbury): no stiffness is too large for it, nor zero too small."""
     points, k = node_points(topology, motion), tangents.stiffness.shape[0]
     units = {
-        node: algebra.spatial(wrench[:3] - cross(points[node][:, None], wrench[3:]), wrench[3:])
+        node: vectors.spatial(wrench[:3] - cross(points[node][:, None], wrench[3:]), wrench[3:])
         for node, wrench in tangents.units.items()
     }
     responses = respond(topology, links, jnp.zeros((topology.n_freedoms, k)), {}, {}, units, k)
@@ -204,7 +204,7 @@ def _friction_columns(
         sides: dict[int, Array] = {}
         for node, sign in ((topology.parents[joint], -1.0), (topology.children[joint], 1.0)):
             if node != BASE:
-                moved = algebra.spatial(wrench[:3] - cross(points[node], wrench[3:]), wrench[3:])
+                moved = vectors.spatial(wrench[:3] - cross(points[node], wrench[3:]), wrench[3:])
                 sides[node] = sides.get(node, 0.0) + sign * moved
         for node in {*topology.parents[topology.n_links :], *topology.children[topology.n_links :]} - {BASE}:
             found.setdefault(node, []).append(sides.get(node, jnp.zeros(6))[:, None])

@@ -17,19 +17,20 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from rfem_jax.mechanics import algebra, loads
-from rfem_jax.mechanics.algebra import Scalar, apply, apply_transposed, cross, dot
-from rfem_jax.mechanics.cut_joints import Closure, closure, spring_residual
-from rfem_jax.mechanics.dynamics import total_dissipated
-from rfem_jax.mechanics.element_loads import FrameLoads, frame_loads
+from rfem_jax.mechanics.algebra import vectors
+from rfem_jax.mechanics.algebra.vectors import Scalar, apply, apply_transposed, cross, dot
+from rfem_jax.mechanics.dynamics import loads
+from rfem_jax.mechanics.dynamics.dynamics import total_dissipated
 from rfem_jax.mechanics.elements.elasticity import generalised_forces
-from rfem_jax.mechanics.friction import Ahead, cut_forces, cut_friction, tree_friction, with_friction
-from rfem_jax.mechanics.inputs import DriveInput
-from rfem_jax.mechanics.joint_forces import LawForces, applied_forces, by_coordinate, law_forces
-from rfem_jax.mechanics.kinematics import Motion, by_freedom, motion_of, spread
-from rfem_jax.mechanics.model import BASE, Coordinates, State, Topology
-from rfem_jax.mechanics.model_with_errors import ModelWithErrors
-from rfem_jax.mechanics.self_stress import redundancy
+from rfem_jax.mechanics.forces.element_loads import FrameLoads, frame_loads
+from rfem_jax.mechanics.forces.friction import Ahead, cut_forces, cut_friction, tree_friction, with_friction
+from rfem_jax.mechanics.forces.joint_forces import LawForces, applied_forces, by_coordinate, law_forces
+from rfem_jax.mechanics.kinematics.cut_joints import Closure, closure, spring_residual
+from rfem_jax.mechanics.kinematics.motion import Motion, by_freedom, motion_of, spread
+from rfem_jax.mechanics.kinematics.self_stress import redundancy
+from rfem_jax.mechanics.model.inputs import DriveInput
+from rfem_jax.mechanics.model.model import BASE, Coordinates, State, Topology
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 ROUNDING = 2e-13  # of a position over the longest link, with a margin for sums
 
@@ -181,7 +182,7 @@ def spatial_accelerations(
     """Spatial accelerations (6,) at the global origin of the links and of the interfaces, by node."""
     topology = actual.topology
     n = topology.n_links
-    bias = algebra.motion_cross(motion.axis_velocity, motion.axis * state.velocity.joints[None])
+    bias = vectors.motion_cross(motion.axis_velocity, motion.axis * state.velocity.joints[None])
     over_joint = motion.axis * accelerations.joints[None] + bias
     links: dict[int, Array] = {}
     interfaces: dict[int, Array] = {}
@@ -215,9 +216,9 @@ def _interface_acceleration(
     angular = apply(relative.rate_matrix, accelerations.elastic[3:, k]) + relative.rate_bias
     linear = accelerations.elastic[:3, k] - cross(angular, relative.position) - cross(relative.angular, relative.linear)
     angular = apply(rotation, angular)
-    in_link = algebra.spatial(angular, apply(rotation, linear) + cross(origin, angular))
+    in_link = vectors.spatial(angular, apply(rotation, linear) + cross(origin, angular))
     velocity = motion.interfaces.velocity[:, topology.interfaces.index(k)] - motion.links.velocity[:, l]
-    return links[l] + algebra.motion_cross(motion.links.velocity[:, l], velocity) + in_link
+    return links[l] + vectors.motion_cross(motion.links.velocity[:, l], velocity) + in_link
 
 
 def _node_accelerations(

@@ -27,25 +27,40 @@ from rfem_jax.compilation.program import Program
 from rfem_jax.description.errors import InputError, require_choice, suggestion
 from rfem_jax.description.mechanism import AS_GIVEN, EQUILIBRIUM, STARTS
 from rfem_jax.kernels import kernel
-from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.algebra import Scalar, apply_transposed, cross, dot, solve_equations
-from rfem_jax.mechanics.bush_contacts import ContactState, contact_states
-from rfem_jax.mechanics.cut_joints import Closure, closure, spring_residual, spring_row_tangent
-from rfem_jax.mechanics.derivative_rules import implicit_function
-from rfem_jax.mechanics.designs import Design, designed, with_status
-from rfem_jax.mechanics.element_loads import element_tangents, frame_loads
+from rfem_jax.mechanics.algebra.derivative_rules import implicit_function
+from rfem_jax.mechanics.algebra.vectors import Scalar, apply_transposed, cross, dot, solve_equations
+from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.elements.linear_validity import linear_error, linear_range
+from rfem_jax.mechanics.forces.bush_contacts import ContactState, contact_states
+from rfem_jax.mechanics.forces.element_loads import element_tangents, frame_loads
+from rfem_jax.mechanics.forces.joint_forces import (
+    about_parents_axes,
+    applied_forces,
+    by_coordinate,
+    law_forces,
+    law_tangent,
+)
 from rfem_jax.mechanics.implicit.residual import Residual
-from rfem_jax.mechanics.inputs import DriveInput
-from rfem_jax.mechanics.joint_forces import about_parents_axes, applied_forces, by_coordinate, law_forces, law_tangent
-from rfem_jax.mechanics.kinematics import by_freedom, motion_of, range_used
-from rfem_jax.mechanics.model import Coordinates, Model, State, Topology, length_scale
-from rfem_jax.mechanics.model_with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
-from rfem_jax.mechanics.orientations import moved, rates_of
-from rfem_jax.mechanics.self_stress import redundancy
-from rfem_jax.mechanics.sources import RIGID_CLOSING_TOLERANCE
+from rfem_jax.mechanics.kinematics.cut_joints import Closure, closure, spring_residual, spring_row_tangent
+from rfem_jax.mechanics.kinematics.motion import by_freedom, motion_of, range_used
+from rfem_jax.mechanics.kinematics.self_stress import redundancy
+from rfem_jax.mechanics.model.inputs import DriveInput
+from rfem_jax.mechanics.model.model import Coordinates, Model, State, Topology, length_scale
+from rfem_jax.mechanics.model.orientations import moved, rates_of
+from rfem_jax.mechanics.model.sources import RIGID_CLOSING_TOLERANCE
+from rfem_jax.mechanics.model.status import (
+    CANNOT_CLOSE,
+    DESIGN_OUT_OF_RANGE,
+    NO_EQUILIBRIUM,
+    NOT_ASSEMBLED,
+    OK,
+    OUT_OF_RANGE,
+    WRONG_SIDE,
+)
+from rfem_jax.mechanics.model.with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
 from rfem_jax.mechanics.statics.contact import search_contact
+from rfem_jax.mechanics.statics.designs import Design, designed, with_status
 from rfem_jax.mechanics.statics.search import (
     Equations,
     Linear,
@@ -57,15 +72,6 @@ from rfem_jax.mechanics.statics.search import (
     solve_linear,
 )
 from rfem_jax.mechanics.statics.tangent import static_increment, static_tangent
-from rfem_jax.mechanics.status import (
-    CANNOT_CLOSE,
-    DESIGN_OUT_OF_RANGE,
-    NO_EQUILIBRIUM,
-    NOT_ASSEMBLED,
-    OK,
-    OUT_OF_RANGE,
-    WRONG_SIDE,
-)
 
 OPEN = 1e-9  # of the longest link: a loop that does not close
 

@@ -20,13 +20,13 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float
 
-from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.bush_contacts import pins_of
-from rfem_jax.mechanics.clearances import clearance_name
-from rfem_jax.mechanics.element_loads import element_pose
-from rfem_jax.mechanics.frame_forces import Pose
-from rfem_jax.mechanics.kinematics import motion_of
-from rfem_jax.mechanics.model_with_errors import ModelWithErrors
+from rfem_jax.mechanics.dynamics import loads
+from rfem_jax.mechanics.forces.bush_contacts import pins_of
+from rfem_jax.mechanics.forces.element_loads import element_pose
+from rfem_jax.mechanics.kinematics.motion import motion_of
+from rfem_jax.mechanics.laws.clearances import clearance_name
+from rfem_jax.mechanics.laws.frame_forces import Pose
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 from rfem_jax.mechanics.statics.pins_on_compliance import HeldPin, Units, change_of, holding, pin_wrenches, pins_at_rest
 from rfem_jax.mechanics.statics.search import (
     CHORD_TOLERANCE,

@@ -21,10 +21,10 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-from rfem_jax.mechanics.algebra import product, product_transposed, solve_equations
-from rfem_jax.mechanics.clearances import PinInBush
-from rfem_jax.mechanics.frame_forces import START, FrameForce, NodeFrame, Pose, Time
-from rfem_jax.mechanics.orientations import exponential, rotation_of
+from rfem_jax.mechanics.algebra.vectors import product, product_transposed, solve_equations
+from rfem_jax.mechanics.laws.clearances import PinInBush
+from rfem_jax.mechanics.laws.frame_forces import START, FrameForce, NodeFrame, Pose, Time
+from rfem_jax.mechanics.model.orientations import exponential, rotation_of
 
 STIFF = 1e3  # of the springs that hold pins, over a force and a length of the mechanism
 ITERATIONS, TOLERANCE = 60, 1e-14

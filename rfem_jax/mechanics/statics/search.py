@@ -22,7 +22,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float
 
-from rfem_jax.mechanics.model import Coordinates
+from rfem_jax.mechanics.model.model import Coordinates
 
 TOLERANCE = 1e-10
 SMALLEST_SINGULAR_VALUE = 1e-12  # of equations whose entries are of size one

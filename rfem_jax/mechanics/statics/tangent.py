@@ -16,17 +16,17 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.algebra import Scalar
-from rfem_jax.mechanics.cut_joints import closure, spring_row_tangent
-from rfem_jax.mechanics.element_loads import element_tangents
+from rfem_jax.mechanics.algebra.vectors import Scalar
+from rfem_jax.mechanics.dynamics import loads
+from rfem_jax.mechanics.forces.element_loads import element_tangents
+from rfem_jax.mechanics.forces.joint_forces import law_tangent
 from rfem_jax.mechanics.implicit.condensation import link_operators
 from rfem_jax.mechanics.implicit.newton import IterationMatrix, iteration_matrix, newton_increment
 from rfem_jax.mechanics.implicit.residual import Residual
-from rfem_jax.mechanics.joint_forces import law_tangent
-from rfem_jax.mechanics.kinematics import motion_of
-from rfem_jax.mechanics.model import Coordinates, Topology
-from rfem_jax.mechanics.model_with_errors import ModelWithErrors
+from rfem_jax.mechanics.kinematics.cut_joints import closure, spring_row_tangent
+from rfem_jax.mechanics.kinematics.motion import motion_of
+from rfem_jax.mechanics.model.model import Coordinates, Topology
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 # Springs over inertia, by the stiffness of a link and the mass of all.  The larger, the smaller the residual of a
 # solution, but rounding grows with its square: in spatial loops, 1e6 would not converge.

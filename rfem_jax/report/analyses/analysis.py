@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 
 from rfem_jax.description.study import Study
-from rfem_jax.mechanics.model import Model
-from rfem_jax.mechanics.model_with_errors import AssemblyErrors
+from rfem_jax.mechanics.model.model import Model
+from rfem_jax.mechanics.model.with_errors import AssemblyErrors
 from rfem_jax.report.annotations import Figure
 from rfem_jax.report.output import write_json
 from rfem_jax.report.pictures import write_pictures

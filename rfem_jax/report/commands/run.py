@@ -52,7 +52,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     started = time.perf_counter()
     study = read_study(arguments.study)
 
-    from rfem_jax.mechanics.status import PAST_LIMIT
+    from rfem_jax.mechanics.model.status import PAST_LIMIT
     from rfem_jax.report.files import start_of, write_files
     from rfem_jax.report.overview import start_text
     from rfem_jax.report.summary import readable, summarise
@@ -98,7 +98,7 @@ def act(arguments: argparse.Namespace) -> Answer:
 
 def _with_place(statuses: dict[str, Any], runs: dict[str, Run], study: Study) -> dict[str, Any]:
     """The statuses of runs past the limit of their mechanism with the place of this limit in their messages."""
-    from rfem_jax.mechanics.status import PAST_LIMIT, STATUS
+    from rfem_jax.mechanics.model.status import PAST_LIMIT, STATUS
     from rfem_jax.simulation.locking import drive_limit
 
     model = next(iter(runs.values())).model

@@ -40,7 +40,7 @@ def read_study(path: str) -> Study:
 def discretise_study(study: Study) -> Model:
     """The model of the study's mechanism; what is wrong with it is said with the file's name."""
     from rfem_jax.description.errors import located
-    from rfem_jax.mechanics.designs import model_of_study
+    from rfem_jax.mechanics.statics.designs import model_of_study
 
     with located(f"Study file `{study.path}`"):
         return model_of_study(study)

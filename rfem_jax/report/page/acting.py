@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from rfem_jax.mechanics.joint_laws import SpringLaw
-from rfem_jax.mechanics.point_laws import GivenLoad
+from rfem_jax.mechanics.laws.joint_laws import SpringLaw
+from rfem_jax.mechanics.laws.point_laws import GivenLoad
 from rfem_jax.report.annotations import Run
 
 ACTING = ("force_first", "force_place", "force_value")

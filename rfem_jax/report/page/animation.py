@@ -74,8 +74,8 @@ def _joints(topology: Any) -> list[dict[str, Any]]:
 
 
 def _arrays(run: Run, most: int, forces: list[dict[str, Any]]) -> Arrays:
-    from rfem_jax.mechanics.centre_lines import trace_shapes
-    from rfem_jax.mechanics.nominal_path import nominal_shapes
+    from rfem_jax.mechanics.dynamics.centre_lines import trace_shapes
+    from rfem_jax.mechanics.model.nominal_path import nominal_shapes
 
     model, errors, positions = run.model, run.errors, run.positions
     assert model is not None and errors is not None and positions is not None

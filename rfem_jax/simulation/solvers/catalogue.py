@@ -17,9 +17,9 @@ import diffrax
 from jaxtyping import Array, Float, PyTree
 
 from rfem_jax.description.methods import Explicit, GeneralisedAlpha, Leapfrog, Method, RungeKutta4, add_method_class
-from rfem_jax.mechanics.inputs import DriveInput
-from rfem_jax.mechanics.model import State
-from rfem_jax.mechanics.model_with_errors import ModelWithErrors
+from rfem_jax.mechanics.model.inputs import DriveInput
+from rfem_jax.mechanics.model.model import State
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.observation import Instant
 from rfem_jax.simulation.solvers.explicit import LeapfrogSolver, PeakTracking, RungeKutta4Solver

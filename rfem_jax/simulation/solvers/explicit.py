@@ -15,10 +15,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
-from rfem_jax.mechanics.inputs import DriveInput
-from rfem_jax.mechanics.model import Coordinates, State
-from rfem_jax.mechanics.model_with_errors import ModelWithErrors
-from rfem_jax.mechanics.orientations import moved
+from rfem_jax.mechanics.model.inputs import DriveInput
+from rfem_jax.mechanics.model.model import Coordinates, State
+from rfem_jax.mechanics.model.orientations import moved
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.observation import Instant, solved_instant

@@ -47,13 +47,12 @@ from jaxtyping import Array, Bool, Float, PyTree
 from rfem_jax.description.errors import InputError
 from rfem_jax.description.methods import GeneralisedAlpha, Method
 from rfem_jax.kernels import kernel
-from rfem_jax.mechanics import loads
-from rfem_jax.mechanics.bush_contacts import contact_losses, contact_memory, remembers, with_memory
-from rfem_jax.mechanics.cut_joints import Closure, closure, spring_row_tangent
-from rfem_jax.mechanics.dynamics import total_dissipated
-from rfem_jax.mechanics.element_loads import element_tangents, frame_loads
+from rfem_jax.mechanics.dynamics import loads
+from rfem_jax.mechanics.dynamics.dynamics import total_dissipated
 from rfem_jax.mechanics.elements.elasticity import dissipated_power
-from rfem_jax.mechanics.friction import (
+from rfem_jax.mechanics.forces.bush_contacts import contact_losses, contact_memory, remembers, with_memory
+from rfem_jax.mechanics.forces.element_loads import element_tangents, frame_loads
+from rfem_jax.mechanics.forces.friction import (
     Ahead,
     FrictionLine,
     FrictionTangent,
@@ -65,6 +64,7 @@ from rfem_jax.mechanics.friction import (
     tree_friction,
     with_friction,
 )
+from rfem_jax.mechanics.forces.joint_forces import law_forces, law_tangent
 from rfem_jax.mechanics.implicit.condensation import LinkOperator, link_operators, present_operators
 from rfem_jax.mechanics.implicit.newton import IterationMatrix, iteration_matrix, newton_increment
 from rfem_jax.mechanics.implicit.residual import (
@@ -75,12 +75,12 @@ from rfem_jax.mechanics.implicit.residual import (
     rounding_force,
     spatial_accelerations,
 )
-from rfem_jax.mechanics.inputs import DriveInput, impose
-from rfem_jax.mechanics.joint_forces import law_forces, law_tangent
-from rfem_jax.mechanics.kinematics import Motion, motion_of
-from rfem_jax.mechanics.model import Coordinates, State, Topology
-from rfem_jax.mechanics.model_with_errors import ModelWithErrors
-from rfem_jax.mechanics.orientations import moved
+from rfem_jax.mechanics.kinematics.cut_joints import Closure, closure, spring_row_tangent
+from rfem_jax.mechanics.kinematics.motion import Motion, motion_of
+from rfem_jax.mechanics.model.inputs import DriveInput, impose
+from rfem_jax.mechanics.model.model import Coordinates, State, Topology
+from rfem_jax.mechanics.model.orientations import moved
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.batches import like_batched
 from rfem_jax.simulation.equations import Conditions, Integrals, Scalar, Trajectory

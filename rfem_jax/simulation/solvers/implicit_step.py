@@ -24,8 +24,7 @@ from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool, Float
 
 from rfem_jax.kernels import kernel
-from rfem_jax.mechanics.clearances import ContactMemory
-from rfem_jax.mechanics.derivative_rules import active_inputs
+from rfem_jax.mechanics.algebra.derivative_rules import active_inputs
 from rfem_jax.mechanics.implicit.condensation import LinkOperator
 from rfem_jax.mechanics.implicit.newton import (
     IterationMatrix,
@@ -34,7 +33,8 @@ from rfem_jax.mechanics.implicit.newton import (
     newton_increment,
 )
 from rfem_jax.mechanics.implicit.residual import Evaluation, residual_of
-from rfem_jax.mechanics.model import Coordinates
+from rfem_jax.mechanics.laws.clearances import ContactMemory
+from rfem_jax.mechanics.model.model import Coordinates
 from rfem_jax.simulation.batches import like_batched
 from rfem_jax.simulation.equations import Conditions, Integrals, Scalar, Trajectory
 

@@ -27,10 +27,10 @@ from rfem_jax.description.methods import GeneralisedAlpha, Method
 from rfem_jax.description.metric_catalogue import kind_and_owner, only_at_start
 from rfem_jax.description.metric_subjects import JointSubject, LinkSubject, MetricSubjects, require_metric
 from rfem_jax.description.precision import require_float64
-from rfem_jax.mechanics.designs import Design, NamedValue, parameters
-from rfem_jax.mechanics.model import Model
-from rfem_jax.mechanics.model_with_errors import AssemblyErrors, assembly_errors
-from rfem_jax.mechanics.status import PAST_LIMIT, STATUS
+from rfem_jax.mechanics.model.model import Model
+from rfem_jax.mechanics.model.status import PAST_LIMIT, STATUS
+from rfem_jax.mechanics.model.with_errors import AssemblyErrors, assembly_errors
+from rfem_jax.mechanics.statics.designs import Design, NamedValue, parameters
 from rfem_jax.simulation.conclusion import run_of
 from rfem_jax.simulation.driving import design_with, drive_numbers, drive_of_design, require_driven
 from rfem_jax.simulation.integration import conclude, grid_for, integrated, simulate_steps

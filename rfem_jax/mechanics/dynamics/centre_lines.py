@@ -1,0 +1,87 @@
+"""Centre lines of the links in space, where their far ends are, and the frames of the joints.
+
+Place in the pipeline: model with errors + coordinates -> **centre lines** -> simulation, report.
+"""
+
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from rfem_jax.compilation.program import Program
+from rfem_jax.kernels import kernel
+from rfem_jax.mechanics.algebra import vectors
+from rfem_jax.mechanics.dynamics import loads
+from rfem_jax.mechanics.kinematics.motion import Motion, all_frames, motion_of, node_frames
+from rfem_jax.mechanics.model.model import Coordinates, Model
+from rfem_jax.mechanics.model.with_errors import AssemblyErrors, ModelWithErrors, apply_errors
+
+
+@kernel
+def link_lines(model: Model, actual: ModelWithErrors, position: Coordinates) -> dict[str, Float[Array, "_ 3"]]:
+    """Points (P, 3) [m] in global axes along every link: its origin, the middles of its rfes, its
+    end."""
+    topology = actual.topology
+    return dict(zip(topology.links, _lines(actual, motion_of(actual, loads.static_state(topology, position)))))
+
+
+def _lines(actual: ModelWithErrors, motion: Motion) -> list[Float[Array, "_ 3"]]:
+    topology, lines = actual.topology, []
+    rotation, point = all_frames(topology, motion)
+    for l, (a, b) in enumerate(topology.ranges):
+        first, last = topology.n_links + a, topology.n_links + b
+        if a == b:
+            end = point[:, l] + 2.0 * actual.beam_middle[l] * rotation[:, 0, l]
+            lines.append(jnp.stack([point[:, l], end]))
+            continue
+        # From the middle of the last rfe, which is as long as rfe 0, to the link's end.
+        tip = point[:, last - 1] + actual.beam_middle[l] * rotation[:, 0, last - 1]
+        inner = point[:, first:last]
+        lines.append(jnp.concatenate([point[:, l : l + 1], inner, tip[:, None]], axis=1).T)
+    return lines
+
+
+class Shape(NamedTuple):
+    """What of a mechanism is drawn: points [m] along its links, as of `link_lines`, link by link; of its joints the
+    frames that loads are in (H, at a cut joint L) and the centres on the child [m]; all in global axes."""
+
+    points: Float[Array, "*t points 3"]
+    rotation: Float[Array, "*t joints 3 3"]
+    centre: Float[Array, "*t joints 3"]
+
+
+@functools.partial(Program, nameless=True)
+def trace_shapes(model: Model, errors: AssemblyErrors, positions: Coordinates) -> Shape:
+    """Shapes of a mechanism with its errors at many positions, whose arrays have a first axis of times."""
+    actual = apply_errors(model, errors)
+    return jax.vmap(lambda position: _shape(actual, position))(positions)
+
+
+@kernel
+def _shape(actual: ModelWithErrors, position: Coordinates) -> Shape:
+    topology = actual.topology
+    motion = motion_of(actual, loads.static_state(topology, position))
+    rotation, centre = motion.hinges
+    if topology.n_cuts:
+        n = topology.n_links
+        parents = node_frames(topology, motion, topology.parents[n:])
+        children = node_frames(topology, motion, topology.children[n:])
+        left = vectors.product(parents.rotation, actual.seat_rotation[:, :, n:])
+        right = children.point + vectors.apply(children.rotation, actual.bore_position[:, n:])
+        rotation, centre = jnp.concatenate([rotation, left], axis=2), jnp.concatenate([centre, right], axis=1)
+    return Shape(jnp.concatenate(_lines(actual, motion)), jnp.moveaxis(rotation, 2, 0), centre.T)
+
+
+def link_ends(actual: ModelWithErrors, motion: Motion) -> tuple[Float[Array, "3 links"], Float[Array, "3 3 links"]]:
+    """Where the far ends of all links are [m], and the rotations of the rfes that hold them, in global axes."""
+    topology = actual.topology
+    rotation, point = all_frames(topology, motion)
+    # From a rigid link's origin the end is a whole length away, from a flexible link's last middle half an rfe.
+    nodes = [l if a == b else topology.n_links + b - 1 for l, (a, b) in enumerate(topology.ranges)]
+    distance = actual.beam_middle * np.array([2.0 if a == b else 1.0 for a, b in topology.ranges])
+    rotation, point = rotation[:, :, np.array(nodes)], point[:, np.array(nodes)]
+    return point + distance[None] * rotation[:, 0], rotation

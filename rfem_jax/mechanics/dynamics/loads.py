@@ -1,0 +1,437 @@
+"""Loads in all joints, energies and the balance of momentum.
+
+Place in the pipeline: dynamics -> **loads** -> simulation (metrics, Run).
+
+A joint's load is the force and the moment that the parent side exerts on the child link, about the
+joint's centre on the child, in the hinge frame H (in L at a cut joint), in N and N m (theory (8.1) to (8.3)).  A
+drive that is a given moment or force, or a law of the joint's position and rate, is an external load and not part of
+it; a spring in the joint and the moment or force that enforces a prescribed motion are.
+
+They are computed in two ways, and every run checks them by the balance of momentum: `chain_loads` is the
+recursive Newton-Euler algorithm over all rfes from the tips to the base; `joint_loads` uses the equations
+of motion of the rfes 0 alone, whose elastic wrenches the accelerations needed anyway.
+"""
+
+from collections.abc import Sequence
+from functools import reduce
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from rfem_jax.mechanics.algebra import vectors
+from rfem_jax.mechanics.algebra.vectors import apply, apply_transposed, cross, dot, scaled
+from rfem_jax.mechanics.dynamics.dynamics import Accelerations, link_axes
+from rfem_jax.mechanics.elements import elasticity
+from rfem_jax.mechanics.forces.element_loads import FrameLoads, frame_energy, frame_work
+from rfem_jax.mechanics.forces.friction import joint_wrenches
+from rfem_jax.mechanics.forces.joint_forces import (
+    CutForces,
+    LawForces,
+    hinge_moments,
+    law_energy,
+    law_work,
+    outside_forces,
+)
+from rfem_jax.mechanics.kinematics.cut_joints import Closure, columns, cut_spring_energy
+from rfem_jax.mechanics.kinematics.motion import Motion, all_frames, motion_of, spread, total
+from rfem_jax.mechanics.kinematics.self_stress import least_reactions, redundancy
+from rfem_jax.mechanics.laws.clearances import clearance_name
+from rfem_jax.mechanics.laws.joint_laws import TableLaw
+from rfem_jax.mechanics.laws.point_laws import TableBetween
+from rfem_jax.mechanics.model.inputs import DriveInput
+from rfem_jax.mechanics.model.model import BASE, Coordinates, Model, State, Topology
+from rfem_jax.mechanics.model.orientations import position_rate
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors
+
+
+class JointLoads(NamedTuple):
+    """Force [N] and moment [N m] of all joints in their hinge frames."""
+
+    force: Float[Array, "3 joints"]
+    moment: Float[Array, "3 joints"]
+
+
+class Energies(NamedTuple):
+    """Kinetic, elastic and gravity energy [J]; gravity's zero level is the datum."""
+
+    kinetic: Float[Array, ""]
+    elastic: Float[Array, ""]
+    gravity: Float[Array, ""]
+
+
+@runtime_checkable
+class Placed(Protocol):
+    """Of an instant: motion, closure, and what force elements exert."""
+
+    @property
+    def motion(self) -> Motion: ...
+    @property
+    def closure(self) -> Closure | None: ...
+    @property
+    def frame_loads(self) -> FrameLoads | None: ...
+
+
+@runtime_checkable
+class Solved(Placed, Protocol):
+    """Of the solution of one instant, or of a mechanism at rest: its multipliers [N] and forces of laws, too."""
+
+    @property
+    def multipliers(self) -> Float[Array, " constraints"]: ...
+    @property
+    def laws(self) -> LawForces | None: ...
+
+
+class Resting(NamedTuple):
+    """A mechanism at rest, as `chain_loads` reads it."""
+
+    motion: Motion
+    closure: Closure | None
+    multipliers: Float[Array, " constraints"]
+    laws: LawForces | None
+    frame_loads: FrameLoads | None = None
+
+
+def joint_loads(actual: ModelWithErrors, result: Accelerations, drive: DriveInput) -> JointLoads:
+    """Loads of all joints by the equations of motion of the rfes 0 (theory (8.4)); where redundant reactions are to be
+    least, by `chain_loads`."""
+    if actual.topology.minimum_norm:
+        return chain_loads(actual, result, result.angular, result.linear, drive)[0]
+    with jax.named_scope("joint_loads"):
+        topology, tree, cuts = actual.topology, result.interface_tree, result.closure
+        n, rows = topology.n_links, _rows(topology)
+        net = apply(tree.inertia[:, :, :n], result.spatial) - tree.load[:, :n]
+        wrenches: dict[int, Array] = {}
+        for l in reversed(range(n)):
+            wrench, point = net[:, l], tree.point[:, l]
+            for j in range(l + 1, n):
+                if topology.parents[j] == l:
+                    wrench = wrench + wrenches[j]
+            for i, j in enumerate(topology.cuts):
+                if cuts is not None and topology.parents[j] == l:
+                    unit = cuts.wrenches(i, "parent", point)
+                    wrench = wrench + apply(unit, result.multipliers[rows[i]])
+                if cuts is not None and topology.children[j] == l:
+                    unit = cuts.wrenches(i, "child", point)
+                    wrench = wrench - apply(unit, result.multipliers[rows[i]])
+            wrenches[l] = wrench
+        links = jnp.stack([wrenches[l] for l in range(n)], axis=1)
+        hinges = result.motion.hinges
+        moment = links[:3] - cross(hinges.point - tree.point[:, :n], links[3:])
+        return _in_hinge_frames(topology, result, links[3:], moment, drive)
+
+
+def chain_loads(
+    actual: ModelWithErrors,
+    result: Solved,
+    angular: Float[Array, "3 nodes"],
+    linear: Float[Array, "3 nodes"],
+    drive: DriveInput,
+) -> tuple[JointLoads, Float[Array, "6"]]:
+    """Loads of all joints by the recursive Newton-Euler algorithm over all rfes, for accelerations of the
+    nodes in link axes, and the wrench at the origin that the base exerts."""
+    result, wrenches = moving_wrenches(actual, result, angular, linear)
+    return loads_of_wrenches(actual.topology, result, wrenches, drive), base_wrench(actual.topology, wrenches)
+
+
+def moving_wrenches(
+    actual: ModelWithErrors, result: Solved, angular: Float[Array, "3 nodes"], linear: Float[Array, "3 nodes"]
+) -> tuple[Any, list[Float[Array, "6"]]]:
+    """The wrenches of `chain_wrenches` for accelerations of the nodes in link axes, and what they follow from, both
+    with the least of redundant reactions."""
+    with jax.named_scope("chain_loads"):
+        inertial = beyond_elements(inertial_loads(actual, result.motion, angular, linear), result.frame_loads)
+        at_cuts = None if result.laws is None else result.laws.cuts
+        wrenches = chain_wrenches(actual, result.motion, result.closure, result.multipliers, inertial, at_cuts)
+        return with_least_reactions(actual, result, wrenches)
+
+
+def with_least_reactions(
+    actual: ModelWithErrors, result: Any, wrenches: list[Float[Array, "6"]]
+) -> tuple[Any, list[Float[Array, "6"]]]:
+    """What was solved (`Solved`), and the wrenches of all joints, with multipliers for which redundant reactions are
+    least, of models that ask for it."""
+    cuts, hinges = result.closure, result.motion.hinges
+    found = redundancy(actual.topology, result.motion, cuts)
+    if found is None:
+        return result, wrenches
+    revolute = np.array([actual.topology.kinds[j] == "revolute" for j in actual.topology.cuts])
+    points = jnp.concatenate([hinges.point, jnp.where(revolute, cuts.centre, cuts.right_centre)], axis=1)
+    assert actual.reaction_length is not None, "models that ask for least reactions have one"
+    change, wrenches = least_reactions(found, points, wrenches, actual.reaction_length)
+    return result._replace(multipliers=result.multipliers + change), wrenches
+
+
+def loads_of_wrenches(
+    topology: Topology, result: Solved, wrenches: Sequence[Float[Array, "6"]], drive: DriveInput
+) -> JointLoads:
+    """Loads of all joints from the wrenches at the global origin of `chain_wrenches`."""
+    links = jnp.stack(wrenches[: topology.n_links], axis=1)
+    moment = links[:3] - cross(result.motion.hinges.point, links[3:])
+    return _in_hinge_frames(topology, result, links[3:], moment, drive)
+
+
+def _in_hinge_frames(topology: Topology, result: Solved, force: Array, moment: Array, drive: DriveInput) -> JointLoads:
+    """Loads of all joints in hinge frames from the forces and moments (3, L) of the tree joints about their
+    centres, in global axes; those of cut joints from the multipliers."""
+    rotation = result.motion.hinges.rotation
+    for k, outside in outside_forces(topology, drive, result.laws):
+        force, moment = _without(topology, result.motion, k, outside, force, moment)
+    force, moment = apply_transposed(rotation, force), apply_transposed(rotation, moment)
+    external = hinge_moments(topology, drive)
+    if external is not None:
+        moment = jnp.stack([moment[0], moment[1] - external, moment[2]])
+    cuts = result.closure
+    if cuts is not None:
+        of_groups = [group.loads(rows) for group, rows in zip(cuts.groups, cuts.by_group(result.multipliers))]
+        on_right, couple = (columns(cuts.groups, part) for part in zip(*of_groups))
+        force = jnp.concatenate([force, apply_transposed(cuts.rotation, on_right)], axis=1)
+        moment = jnp.concatenate([moment, apply_transposed(cuts.rotation, couple)], axis=1)
+    at_cuts = None if result.laws is None else result.laws.cuts
+    joint = _with_cut_forces(topology, JointLoads(force, moment), at_cuts)
+    if not topology.clearances:
+        return joint
+    return jax.tree.map(jnp.add, joint, contact_loads(topology, result))
+
+
+def contact_loads(topology: Topology, result: Placed) -> JointLoads:
+    """What contacts contribute to the loads of joints with clearance: forces, and moments about the child's point, zero
+    at all other joints."""
+    joints, n = len(topology.joints), topology.n_links
+    found = [jnp.zeros((3, joints)), jnp.zeros((3, joints))]
+    for j in topology.clearances:
+        assert result.frame_loads is not None, "contacts are force elements"
+        exerted = result.frame_loads.exerted[clearance_name(topology.joints[j])]
+        here = jnp.asarray(np.arange(joints) == j, float)[None]
+        if j < n:
+            axes = result.motion.hinges.rotation[:, :, j]
+        else:
+            assert result.closure is not None, "a cut joint has a closure"
+            axes = result.closure.rotation[:, :, j - n]
+        parts = exerted.force, exerted.moment
+        found = [sum + apply_transposed(axes, part)[:, None] * here for sum, part in zip(found, parts)]
+    return JointLoads(*found)
+
+
+def _with_cut_forces(topology: Topology, joint: JointLoads, at_cuts: CutForces | None) -> JointLoads:
+    """Loads with the forces in cut joints, which are in the axes of L as they are."""
+    parts = [*joint]
+    for (at, component), value in (at_cuts or {}).items():
+        here = np.zeros(joint.force.shape, bool)
+        here[component % 3, topology.n_links + at] = True
+        side = component // 3
+        parts[side] = jnp.where(here, parts[side] + value[None, None], parts[side])
+    return JointLoads(*parts)
+
+
+def _without(
+    topology: Topology, motion: Motion, k: int, outside: Array, force: Array, moment: Array
+) -> tuple[Array, Array]:
+    """Forces and moments (3, L) of the tree joints less what acts from outside along a joint coordinate."""
+    axis = motion.axis
+    here = np.arange(topology.n_links) == topology.link_of_freedom[k]
+    along = jnp.where(here[None], (axis[3:, k] if topology.slides[k] else axis[:3, k])[:, None] * outside, 0.0)
+    return (force - along, moment) if topology.slides[k] else (force, moment - along)
+
+
+def load_along(topology: Topology, motion: Motion, joint: JointLoads, k: int) -> Float[Array, ""]:
+    """The component of a joint's load along one of its coordinates: moment [N m] or force [N]."""
+    l = topology.link_of_freedom[k]
+    if topology.about_hinge(k):
+        return joint.moment[1, l]
+    axis, part = (motion.axis[3:, k], joint.force) if topology.slides[k] else (motion.axis[:3, k], joint.moment)
+    return dot(axis, apply(motion.hinges.rotation[:, :, l], part[:, l]))
+
+
+def chain_wrenches(
+    actual: ModelWithErrors,
+    motion: Motion,
+    cuts: Closure | None,
+    multipliers: Float[Array, " constraints"],
+    inertial: tuple[Float[Array, "3 nodes"], Float[Array, "3 nodes"]],
+    at_cuts: CutForces | None = None,
+) -> list[Float[Array, "6"]]:
+    """Wrenches at the global origin that the parent side of every joint exerts on the child, drives and laws
+    included; `inertial` from `inertial_loads`, less what force elements exert; `at_cuts`: forces in cut joints."""
+    topology = actual.topology
+    n = topology.n_links
+    force, moment = inertial
+    arms = cross(motion.relative.position, force[:, n:])
+    link_force = force[:, :n] + total(topology, force[:, n:])
+    link_moment = moment[:, :n] + total(topology, moment[:, n:] + arms)
+    of_links = vectors.wrench_at_origin(
+        apply(motion.links.rotation, link_moment),
+        apply(motion.links.rotation, link_force),
+        motion.links.point,
+    )
+    wrenches = dict(zip(topology.cuts, cut_wrenches(topology, cuts, multipliers, at_cuts)))
+    for l in reversed(range(n)):
+        wrench = of_links[:, l]
+        for j in [*range(l + 1, n), *topology.cuts]:
+            if topology.parents[j] != BASE and topology.link_of(topology.parents[j]) == l:
+                wrench = wrench + wrenches[j]
+        for j in topology.cuts:
+            if topology.link_of(topology.children[j]) == l:
+                wrench = wrench - wrenches[j]
+        wrenches[l] = wrench
+    return [wrenches[j] for j in range(len(topology.joints))]
+
+
+def cut_wrenches(
+    topology: Topology,
+    cuts: Closure | None,
+    multipliers: Float[Array, " constraints"],
+    at_cuts: CutForces | None = None,
+) -> list[Float[Array, "6"]]:
+    """Wrenches at the global origin that the parent sides of the cut joints exert on the children."""
+    if cuts is None:
+        return []
+    origin = jnp.zeros_like(cuts.centre[:, 0])
+    units = [cuts.wrenches(i, "child", origin) for i in range(topology.n_cuts)]
+    wrenches = [apply(unit, multipliers[rows]) for unit, rows in zip(units, _rows(topology))]
+    more = joint_wrenches(topology, cuts, at_cuts)
+    return [wrench + more[j] if j in more else wrench for j, wrench in zip(topology.cuts, wrenches)]
+
+
+def _rows(topology: Topology) -> list[slice]:
+    """Where the multipliers of every cut joint are."""
+    return [slice(rows.start, rows.stop) for rows in topology.constraints]
+
+
+def inertial_loads(
+    actual: ModelWithErrors, motion: Motion, angular: Float[Array, "3 nodes"], linear: Float[Array, "3 nodes"]
+) -> tuple[Float[Array, "3 nodes"], Float[Array, "3 nodes"]]:
+    """Rate of momentum minus weight of every node: force [N] and moment [N m] at its reference point, in link
+    axes, for accelerations likewise."""
+    topology = actual.topology
+    spin, gravity = link_axes(actual, motion)
+    spin = jnp.concatenate([spin, spread(topology, spin) + motion.relative.angular], axis=1)
+    gravity = jnp.concatenate([gravity, spread(topology, gravity)], axis=1)
+    identity = jnp.broadcast_to(jnp.asarray(vectors.IDENTITY)[:, :, None], (3, 3, topology.n_links))
+    rotation = jnp.concatenate([identity, motion.relative.rotation], axis=2)
+    centre = apply(rotation, actual.centre)
+    of_centre = linear + cross(angular, centre) + cross(spin, cross(spin, centre))
+    force = scaled(actual.mass, of_centre - gravity)
+    body_spin, body_angular = apply_transposed(rotation, spin), apply_transposed(rotation, angular)
+    inertia = actual.inertia
+    rate = apply(inertia, body_angular) + cross(body_spin, apply(inertia, body_spin))
+    return force, apply(rotation, rate) + cross(centre, force)
+
+
+def beyond_elements(
+    inertial: tuple[Float[Array, "3 nodes"], Float[Array, "3 nodes"]], at_nodes: FrameLoads | None
+) -> tuple[Float[Array, "3 nodes"], Float[Array, "3 nodes"]]:
+    """What `inertial_loads` leave for joints and springs of links to exert, beyond the force elements."""
+    if at_nodes is None:
+        return inertial
+    return inertial[0] - at_nodes.force, inertial[1] - at_nodes.moment
+
+
+def velocities(
+    actual: ModelWithErrors, motion: Motion
+) -> tuple[Float[Array, "3 3 nodes"], Float[Array, "3 nodes"], Float[Array, "3 nodes"], Float[Array, "3 nodes"]]:
+    """Rotation, centre of mass, its velocity and the angular velocity of all nodes in global axes."""
+    topology = actual.topology
+    rotation, point = all_frames(topology, motion)
+    of_links = spread(topology, motion.links.rotation)
+    spin, at_origin = motion.links.velocity[:3], motion.links.velocity[3:]
+    link_spin = jnp.concatenate([spin, spread(topology, spin)], axis=1)
+    link_velocity = jnp.concatenate([at_origin, spread(topology, at_origin)], axis=1)
+    zeros = jnp.zeros_like(spin)
+    angular = jnp.concatenate([zeros, apply(of_links, motion.relative.angular)], axis=1)
+    linear = jnp.concatenate([zeros, apply(of_links, motion.relative.linear)], axis=1)
+    arm = apply(rotation, actual.centre)
+    velocity = link_velocity + cross(link_spin, point) + linear + cross(link_spin + angular, arm)
+    return rotation, point + arm, velocity, link_spin + angular
+
+
+def momentum(actual: ModelWithErrors, state: State) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+    """Total linear momentum [N s] and angular momentum about the global origin [N m s]."""
+    rotation, centre, velocity, spin = velocities(actual, motion_of(actual, state))
+    linear = scaled(actual.mass, velocity)
+    spin_momentum = apply(rotation, apply(actual.inertia, apply_transposed(rotation, spin)))
+    return jnp.sum(linear, axis=1), jnp.sum(spin_momentum + cross(centre, linear), axis=1)
+
+
+def energies(actual: ModelWithErrors, state: State) -> Energies:
+    """Kinetic, elastic and gravity energy at one instant."""
+    motion = motion_of(actual, state)
+    rotation, centre, velocity, spin = velocities(actual, motion)
+    body_spin = apply_transposed(rotation, spin)
+    translation = actual.mass * dot(velocity, velocity)
+    rotational = dot(body_spin, apply(actual.inertia, body_spin))
+    from_datum = centre - actual.datum[:, None]
+    return Energies(
+        kinetic=0.5 * jnp.sum(translation + rotational),
+        elastic=_elastic_energy(actual, state.position, motion),
+        gravity=-jnp.sum(actual.mass * dot(actual.gravity[:, None], from_datum)),
+    )
+
+
+def has_tables_over_position(model: Model) -> bool:
+    """Whether forces are tables over position, whose slopes jump."""
+    laws = [] if model.forces is None else list(model.forces.values())
+    elements = [] if model.frame_forces is None else list(model.frame_forces.values())
+    return any(isinstance(one, (TableLaw, TableBetween)) for one in (*laws, *elements))
+
+
+def known_work(actual: ModelWithErrors, state: State) -> Float[Array, ""] | None:
+    """Work [J] of tables over position, which is a function of the position, from any fixed one; None without any."""
+    works = law_work(actual, state.position)
+    if actual.frame_forces is not None:
+        works = works + frame_work(actual, motion_of(actual, state))
+    return reduce(jnp.add, works) if works else None
+
+
+def _elastic_energy(actual: ModelWithErrors, position: Coordinates, motion: Motion) -> Float[Array, ""]:
+    """Energy [J] of the springs of links and joints, and between points."""
+    energy = elasticity.elastic_energy(actual, position)
+    if actual.forces is not None or actual.springs is not None:
+        energy = energy + law_energy(actual, position)
+    if actual.topology.sprung_rows:
+        energy = energy + cut_spring_energy(actual, motion)
+    return energy if actual.frame_forces is None else energy + frame_energy(actual, motion)
+
+
+def base_wrench(topology: Topology, wrenches: Sequence[Float[Array, "6"]]) -> Float[Array, "6"]:
+    """Wrench at the global origin that the base exerts, from those of all joints."""
+    return jnp.asarray(sum(w for w, parent in zip(wrenches, topology.parents) if parent == BASE))
+
+
+def momentum_residual(
+    actual: ModelWithErrors,
+    state: State,
+    accelerations: Coordinates,
+    base: Float[Array, "6"],
+    at_nodes: FrameLoads | None = None,
+) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+    """Base reactions + weight + wrenches of force elements - d/dt of the total momentum: force [N] and moment [N m].
+
+    The rate of momentum comes from differentiating the momenta along (q_dot, q_ddot), independently
+    of the equations that give the reactions `base`.
+    """
+
+    def momentum_at(position, velocity):
+        return momentum(actual, State(position, velocity))
+
+    tangents = (position_rate(actual.topology, state.position, state.velocity), accelerations)
+    _, (linear_rate, angular_rate) = jax.jvp(momentum_at, (state.position, state.velocity), tangents)
+    _, centre, _, _ = velocities(actual, motion_of(actual, state))
+    weight = actual.mass[None] * actual.gravity[:, None]
+    if at_nodes is not None:
+        base = base + at_nodes.wrench
+    return (
+        base[3:] + jnp.sum(weight, axis=1) - linear_rate,
+        base[:3] + jnp.sum(cross(centre, weight), axis=1) - angular_rate,
+    )
+
+
+def static_state(topology: Topology, position: Coordinates) -> State:
+    """A state at rest."""
+    rates = jax.tree.map(jnp.zeros_like, position)
+    if topology.balls:
+        rates = Coordinates(jnp.zeros(topology.n_freedoms), rates.elastic)
+    return State(position, rates)

@@ -1,0 +1,297 @@
+"""Internal forces and moments along the links, and the stresses at the edges of their sections.
+
+Place in the pipeline: kinematics, elasticity, loads -> **section_loads** -> simulation.records, report.
+
+At the sde in the middle of a segment the elements give them. Between sdes every rfe is a rigid body in equilibrium
+with its inertia, its weight and what joints, point masses and forces exert on it, so that at both sides of each of
+these the section's loads follow from the nearest end of the link, where nothing is beyond, or else from the sde on the
+rfe's left (theory (8.10)). They are what the part with the larger x exerts on the other one.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from rfem_jax.mechanics.algebra import vectors
+from rfem_jax.mechanics.algebra.vectors import apply, apply_transposed, cross, product, product_transposed
+from rfem_jax.mechanics.elements import elasticity
+from rfem_jax.mechanics.forces.element_loads import FrameLoads
+from rfem_jax.mechanics.kinematics.motion import Motion
+from rfem_jax.mechanics.model.model import BASE, Model, State, rfe_fractions
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors
+
+RIGID_PARTS = 8  # of a rigid link, at whose ends there are sections, too
+SAME_PLACE = 1e-9  # of the link's length
+
+
+class SectionLoads(NamedTuple):
+    """Of all sections of a link: place x (sections,) [m] along it, and (N, Q_y, Q_z) [N], (T, M_y, M_z) [N m]
+    (6, sections) in the axes of the section."""
+
+    place: Float[Array, " sections"]
+    resultants: Float[Array, "6 sections"]
+
+
+@runtime_checkable
+class Moving(Protocol):
+    """Of one instant: motion, accelerations (3, nodes) of the nodes in link axes, wrenches of all joints at the global
+    origin, and what force elements exert."""
+
+    @property
+    def motion(self) -> Motion: ...
+    @property
+    def angular(self) -> Float[Array, "3 nodes"]: ...
+    @property
+    def linear(self) -> Float[Array, "3 nodes"]: ...
+    @property
+    def wrenches(self) -> list[Float[Array, "6"]]: ...
+    @property
+    def frame_loads(self) -> FrameLoads | None: ...
+
+
+class _Bodies(NamedTuple):
+    """Kinematics of bodies in global axes: rotation, reference point, angular velocity, accelerations."""
+
+    rotation: Float[Array, "3 3 n"]
+    point: Float[Array, "3 n"]
+    spin: Float[Array, "3 n"]
+    angular: Float[Array, "3 n"]
+    linear: Float[Array, "3 n"]
+
+    def at(self, indices: Sequence[int]) -> "_Bodies":
+        """Some of the bodies, also repeatedly."""
+        return _Bodies(*(jnp.stack([part[..., i] for i in indices], axis=-1) for part in self))
+
+
+class _Attachment(NamedTuple):
+    """What acts on a rfe: its number in the link, place x [m] along its axis, wrench (6,) at the global origin."""
+
+    rfe: int
+    x: Float[Array, ""]
+    wrench: Float[Array, "6"]
+
+
+def loads_of_sections(model: Model, actual: ModelWithErrors, state: State, now: Moving, link: int) -> SectionLoads:
+    """Internal forces and moments of a link at one instant, at its sdes and at both sides of all that acts on it."""
+    with jax.named_scope("section_loads"):
+        topology, n = actual.topology, actual.topology.elements[link]
+        first, _ = topology.ranges[link]
+        bodies = _bodies_of(actual, now, link)
+        attachments = _attachments(model, actual, now, link, bodies)
+        length = _length(actual, link)
+        sections = _sections_beside(attachments, n, length)
+        parts = []
+        if n > 1:
+            at_sdes = elasticity.section_loads(actual, state, now.motion.relative)[:, first : first + n - 1]
+            parts.append(((np.arange(n - 1) + 0.5) / (n - 1) * length, at_sdes))
+        if sections:
+            rfes = [rfe for rfe, _, _ in sections]
+            x = jnp.stack([_on_beam(actual, link, rfe, x) for rfe, x, _ in sections])
+            wrench = _known(actual, state, now, link, bodies, rfes)
+            wrench = wrench + _of_pieces(model, actual, link, bodies.at(rfes), _known_at(actual, link, rfes), x)
+            wrench = wrench + _between(attachments, sections, n, SAME_PLACE * length)
+            parts.append((x + _middles(actual, link, rfes), _in_section(bodies.at(rfes), x, wrench)))
+        if not parts:
+            return SectionLoads(jnp.zeros((0,)), jnp.zeros((6, 0)))
+        return SectionLoads(*(jnp.concatenate(part, axis=-1) for part in zip(*parts, strict=True)))
+
+
+def stress_squares(
+    edge: Float[Array, "4 points"], resultants: Float[Array, "*times 6 sections"]
+) -> Float[Array, "*times points sections"]:
+    """Squares of the von Mises stress [Pa^2] at the edge of the sections of a link (theory (8.11))."""
+    axial, about_y, about_z, by_torque = (edge[i, :, None] for i in range(4))
+    force, torque, moment_y, moment_z = (resultants[..., i, None, :] for i in (0, 3, 4, 5))
+
+    def product_of(column: Array, load: Array) -> Array:
+        return column.reshape((1,) * (load.ndim - 2) + column.shape) * load
+
+    direct = product_of(axial, force) + product_of(about_y, moment_y) + product_of(about_z, moment_z)
+    return direct**2 + 3.0 * product_of(by_torque, torque) ** 2
+
+
+def _length(actual: ModelWithErrors, link: int) -> Array:
+    """Length [m] of a link with its error."""
+    return actual.beam_middle[link] / rfe_fractions(actual.topology.elements[link])[1][0]
+
+
+def _on_beam(actual: ModelWithErrors, link: int, rfe: int, x: Array) -> Array:
+    """A place on the axis of an rfe [m], at the end of the link where it is beyond that."""
+    n = actual.topology.elements[link]
+    x = jnp.maximum(x, 0.0) if rfe == 0 else x
+    if rfe < n - 1:
+        return x
+    return jnp.minimum(x, actual.beam_middle[link] if n > 1 else _length(actual, link))
+
+
+def _bodies_of(actual: ModelWithErrors, now: Moving, link: int) -> _Bodies:
+    """The rfes of a link."""
+    topology = actual.topology
+    a, b = topology.ranges[link]
+    links, relative = now.motion.links, now.motion.relative
+    axes, origin, spin = links.rotation[:, :, link, None], links.point[:, link, None], links.velocity[:3, link, None]
+    free = slice(topology.n_links + a, topology.n_links + b)
+
+    def of_nodes(values: Array) -> Array:
+        return apply(axes, jnp.concatenate([values[:, link, None], values[:, free]], axis=1))
+
+    return _Bodies(
+        rotation=jnp.concatenate([axes, product(axes, relative.rotation[:, :, a:b])], axis=2),
+        point=jnp.concatenate([origin, origin + apply(axes, relative.position[:, a:b])], axis=1),
+        spin=jnp.concatenate([spin, spin + apply(axes, relative.angular[:, a:b])], axis=1),
+        angular=of_nodes(now.angular),
+        linear=of_nodes(now.linear),
+    )
+
+
+def _rfe_of(actual: ModelWithErrors, link: int, node: int) -> int | None:
+    """Number of a node among the rfes of a link, None if it is none of them."""
+    topology = actual.topology
+    if node == BASE or topology.link_of(node) != link:
+        return None
+    return 0 if node < topology.n_links else node - topology.n_links - topology.ranges[link][0] + 1
+
+
+def _attachments(model: Model, actual: ModelWithErrors, now: Moving, link: int, bodies: _Bodies) -> list[_Attachment]:
+    """All that acts on a link: joints, force elements, and the inertia and the weight of point masses."""
+    topology, found = actual.topology, []
+
+    def add(node: int, x: Array, wrench: Array) -> None:
+        rfe = _rfe_of(actual, link, node)
+        if rfe is not None:
+            found.append(_Attachment(rfe, x, wrench))
+
+    for j, wrench in enumerate(now.wrenches):
+        add(topology.parents[j], actual.seat_position[0, j], -wrench)
+        add(topology.children[j], actual.bore_position[0, j], wrench)
+    if now.frame_loads is not None and actual.frame_forces is not None:
+        for name, element in actual.frame_forces.elements.items():
+            exerted = now.frame_loads.exerted[name]
+            wrench = vectors.wrench_at_origin(exerted.moment, exerted.force, exerted.place)
+            add(element.child.node, element.child.position[0], wrench)
+            add(element.parent.node, element.parent.position[0], -wrench)
+    scale = _length(actual, link) / model.length[link]
+    for k, node in enumerate(topology.masses):
+        rfe = _rfe_of(actual, link, node)
+        if rfe is not None:
+            place = jnp.concatenate([model.point_position[:1, k] * scale[None], model.point_position[1:, k]])
+            found.append(_Attachment(rfe, place[0], -_of_point_mass(model, actual, k, place, bodies.at([rfe]))))
+    return found
+
+
+def _of_point_mass(model: Model, actual: ModelWithErrors, k: int, place: Array, body: _Bodies) -> Array:
+    """Rate of momentum minus weight of a point mass as a wrench (6,) at the global origin."""
+    inertia = jnp.diag(model.point_inertia[:, k])
+    if model.point_products is not None:
+        xy, xz, yz = model.point_products[:, k]
+        zero = jnp.zeros(())
+        inertia = inertia + jnp.stack([jnp.stack(r) for r in ((zero, xy, xz), (xy, zero, yz), (xz, yz, zero))])
+    return _inertial_wrench(actual, body, model.point_mass[k, None], place[:, None], inertia[:, :, None])[:, 0]
+
+
+def _inertial_wrench(actual: ModelWithErrors, bodies: _Bodies, mass: Array, centre: Array, inertia: Array) -> Array:
+    """Rate of momentum minus weight of bodies, as wrenches (6, n) at the global origin; `centre` (3, n) and central
+    `inertia` (3, 3, n) in their axes."""
+    rotation, point, spin, angular, linear = bodies
+    arm = apply(rotation, centre)
+    acceleration = linear + cross(angular, arm) + cross(spin, cross(spin, arm))
+    force = mass[None] * (acceleration - actual.gravity[:, None])
+    inertia = product_transposed(product(rotation, inertia), rotation)
+    moment = apply(inertia, angular) + cross(spin, apply(inertia, spin))
+    return vectors.wrench_at_origin(moment, force, point + arm)
+
+
+def _sections_beside(attachments: Sequence[_Attachment], n: int, length: Array) -> list[tuple[int, Array, int | None]]:
+    """Sections on both sides of all attachments, and inside a rigid link: rfe, place x [m] on it, and the attachment
+    that is just to the left (its number), or just to the right (minus one minus its number), None of neither."""
+    found: list[tuple[int, Array, int | None]] = []
+    for i, one in enumerate(attachments):
+        found += [(one.rfe, one.x, -1 - i), (one.rfe, one.x, i)]
+    if n == 1:
+        found += [(0, length * (k / RIGID_PARTS), None) for k in range(1, RIGID_PARTS)]
+    return found
+
+
+def _between(
+    attachments: Sequence[_Attachment], sections: Sequence[tuple[int, Array, int | None]], n: int, near: Array
+) -> Array:
+    """What the attachments between the known end of an rfe and a section change, as wrenches (6, sections)."""
+    columns = []
+    for rfe, x, beside in sections:
+        from_right = n > 1 and rfe == n - 1
+        total = jnp.zeros(6)
+        for i, one in enumerate(attachments):
+            if one.rfe != rfe:
+                continue
+            right_of_it = one.x <= x + near if beside is None or beside >= 0 else one.x < x - near
+            if beside in (i, -1 - i):
+                right_of_it = jnp.asarray(beside == i)
+            wanted = jnp.logical_not(right_of_it) if from_right else right_of_it
+            total = total + jnp.where(wanted, one.wrench if from_right else -one.wrench, 0.0)
+        columns.append(total)
+    return jnp.stack(columns, axis=1)
+
+
+def _known_at(actual: ModelWithErrors, link: int, rfes: Sequence[int]) -> Array:
+    """Where on the axes of rfes [m] the section's loads are known: at the link's ends, or at the sde on the left."""
+    n, (first, _) = actual.topology.elements[link], actual.topology.ranges[link]
+    found = []
+    for rfe in rfes:
+        if rfe == 0:
+            found.append(jnp.zeros(()))
+        else:
+            last = rfe == n - 1
+            found.append(actual.beam_middle[link] if last else actual.lever_right[first + rfe - 1])
+    return jnp.stack(found)
+
+
+def _known(
+    actual: ModelWithErrors, state: State, now: Moving, link: int, bodies: _Bodies, rfes: Sequence[int]
+) -> Array:
+    """The known loads of `_known_at` as wrenches (6, sections) at the global origin: none at the ends of the link."""
+    topology, n = actual.topology, actual.topology.elements[link]
+    inner = [0 < rfe < n - 1 for rfe in rfes]
+    if not any(inner):
+        return jnp.zeros((6, len(rfes)))
+    first, _ = topology.ranges[link]
+    axes = now.motion.links.rotation[:, :, link, None]
+    force, moment = elasticity.wrenches_of_left(actual, state, now.motion.relative)
+    zero, columns = jnp.zeros(6), []
+    of_left = vectors.wrench_at_origin(
+        apply(axes, moment[:, first : first + n - 1]), apply(axes, force[:, first : first + n - 1]), bodies.point[:, 1:]
+    )
+    for rfe, is_inner in zip(rfes, inner, strict=True):
+        columns.append(-of_left[:, rfe - 1] if is_inner else zero)
+    return jnp.stack(columns, axis=1)
+
+
+def _of_pieces(model: Model, actual: ModelWithErrors, link: int, bodies: _Bodies, start: Array, stop: Array) -> Array:
+    """Rate of momentum minus weight of the pieces of beam from `start` to `stop` [m], negative where the latter is
+    smaller, as wrenches (6, n) at the global origin."""
+    extent = stop - start
+    mass = model.section.line_density[link] * extent
+    middle, zero = 0.5 * (start + stop), jnp.zeros_like(start)
+    principal = [model.section.rotary[i, link] * extent for i in range(3)]
+    slender = mass * extent**2 / 12.0
+    principal = jnp.stack([principal[0], principal[1] + slender, principal[2] + slender])
+    inertia = jnp.asarray(vectors.IDENTITY)[:, :, None] * principal[:, None]
+    return _inertial_wrench(actual, bodies, mass, jnp.stack([middle, zero, zero]), inertia)
+
+
+def _middles(actual: ModelWithErrors, link: int, rfes: Sequence[int]) -> Array:
+    """Where the reference points of rfes are along the undeformed link [m]."""
+    first, _ = actual.topology.ranges[link]
+    return jnp.stack([jnp.zeros(()) if rfe == 0 else actual.rest[first + rfe - 1] for rfe in rfes])
+
+
+def _in_section(bodies: _Bodies, x: Array, wrench: Array) -> Array:
+    """Wrenches (6, n) at the global origin as forces and moments (6, n) about the section's centre in its axes."""
+    place = bodies.point + bodies.rotation[:, 0] * x[None]
+    force = wrench[3:]
+    moment = wrench[:3] - cross(place, force)
+    return jnp.concatenate([apply_transposed(bodies.rotation, force), apply_transposed(bodies.rotation, moment)])

@@ -1,0 +1,172 @@
+"""What the force elements of a mechanism exert at one instant.
+
+Place in the pipeline: kinematics, frame_forces -> **element_loads** -> dynamics, residual, loads, statics, newton.
+
+Source: theory (3.18), (3.23), (7.22).
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from rfem_jax.mechanics.algebra import vectors
+from rfem_jax.mechanics.algebra.vectors import Scalar, apply, apply_transposed, cross, dot, product
+from rfem_jax.mechanics.kinematics.motion import Motion, node_frames
+from rfem_jax.mechanics.laws.frame_forces import START, FrameForce, Pose, Time, pose_between
+from rfem_jax.mechanics.model.model import BASE, Topology
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors
+
+
+class Exerted(NamedTuple):
+    """What an element exerts: force [N] and moment [N m] (3,) on the child at its point, in global axes; place and
+    parent_place (3,) [m]: of both points."""
+
+    force: Float[Array, "3"]
+    moment: Float[Array, "3"]
+    place: Float[Array, "3"]
+    parent_place: Float[Array, "3"]
+
+
+class FrameLoads(NamedTuple):
+    """What all elements exert at one instant.
+
+    exerted: by their names; force [N], moment [N m] (3, nodes): on all nodes at their reference points, in the axes of
+    their links; wrench (6,): on all nodes together at the global origin; dissipated, power [W]: of the dampers, and of
+    the elements that act from outside and whose work is not known by their poses; lost [W]: of the dampers, by the
+    names of their elements.
+    """
+
+    exerted: dict[str, Exerted]
+    force: Float[Array, "3 nodes"]
+    moment: Float[Array, "3 nodes"]
+    wrench: Float[Array, "6"]
+    dissipated: Float[Array, ""]
+    power: Float[Array, ""]
+    lost: dict[str, Float[Array, ""]]
+
+
+class ElementTangents(NamedTuple):
+    """The elements that have tangents, with k rows together.
+
+    units: wrenches (6, k) at the global origin, by node, of unit forces and moments between the frames; stiffness
+    (k, k): minus the derivatives of these by the relative accelerations, block diagonal.
+    """
+
+    units: dict[int, Float[Array, "6 k"]]
+    stiffness: Float[Array, "k k"]
+
+
+def frame_loads(actual: ModelWithErrors, motion: Motion, time: Time | None) -> FrameLoads | None:
+    """Wrenches and powers of all force elements at one instant (None: the start); None for a mechanism without any."""
+    if actual.frame_forces is None:
+        return None
+    with jax.named_scope("frame_forces"):
+        topology, share = actual.topology, actual.frame_forces.share
+        nodes = topology.n_links + topology.n_rfes
+        total = [jnp.zeros((3, nodes)), jnp.zeros((3, nodes))]
+        exerted, lost, wrench = {}, {}, jnp.zeros(6)
+        dissipated = power = jnp.zeros(())
+        for name, element in actual.frame_forces.elements.items():
+            parent, child, pose = _placed(topology, motion, element)
+            force, moment = (share * part for part in element.wrench(pose, START if time is None else time))
+            if element.inside:
+                lost[name] = share * element.dissipation(pose)
+                dissipated = dissipated + lost[name]
+            elif element.work(pose) is None:
+                power = power + dot(force, pose.linear) + dot(moment, pose.angular)
+            force, moment = apply(parent.rotation, force), apply(parent.rotation, moment)
+            exerted[name] = Exerted(force, moment, child.place, parent.place)
+            for end, sign in ((element.child, 1.0), (element.parent, -1.0)):
+                if end.node == BASE:
+                    continue
+                on_node = _at_node(topology, motion, end.node, sign * force, sign * moment, child.place)
+                here = jnp.asarray(np.arange(nodes) == end.node, float)[None]
+                total = [sum + part[:, None] * here for sum, part in zip(total, on_node)]
+                wrench = wrench + sign * vectors.wrench_at_origin(moment, force, child.place)
+        return FrameLoads(exerted, total[0], total[1], wrench, dissipated, power, lost)
+
+
+def frame_energy(actual: ModelWithErrors, motion: Motion) -> Float[Array, ""]:
+    """Potential energy [J] of all force elements of a mechanism that has any."""
+    energy = jnp.zeros(())
+    if actual.frame_forces is None:
+        return energy
+    for element in actual.frame_forces.elements.values():
+        if element.inside:
+            energy = energy + element.energy(_placed(actual.topology, motion, element)[2])
+    return actual.frame_forces.share * energy
+
+
+def frame_work(actual: ModelWithErrors, motion: Motion) -> list[Float[Array, ""]]:
+    """Works [J] of the force elements that act from outside and depend on their poses alone."""
+    if actual.frame_forces is None:
+        return []
+    elements = [element for element in actual.frame_forces.elements.values() if not element.inside]
+    works = [element.work(_placed(actual.topology, motion, element)[2]) for element in elements]
+    return [actual.frame_forces.share * work for work in works if work is not None]
+
+
+def element_tangents(
+    actual: ModelWithErrors, motion: Motion, time: Time | None, q_factor: Scalar, v_factor: Scalar
+) -> ElementTangents | None:
+    """Tangents of the elements that have any, as `FrameForce.tangent`; None without such."""
+    elements = [] if actual.frame_forces is None else actual.frame_forces.elements.values()
+    elements = [element for element in elements if element.components]
+    if actual.frame_forces is None or not elements:
+        return None
+    topology, k = actual.topology, sum(element.components for element in elements)
+    units: dict[int, Array] = {}
+    rows, first = [], 0
+    for element in elements:
+        parent, child, pose = _placed(topology, motion, element)
+        block = element.tangent(pose, START if time is None else time, q_factor, v_factor)
+        left, right = jnp.zeros((6, first)), jnp.zeros((6, k - first - element.components))
+        forces = jnp.concatenate([cross(child.place[:, None], parent.rotation), parent.rotation])
+        couples = jnp.concatenate([parent.rotation, jnp.zeros((3, 3))])
+        own = forces if element.components == 3 else jnp.concatenate([forces, couples], axis=1)
+        for end, sign in ((element.child, 1.0), (element.parent, -1.0)):
+            if end.node != BASE:
+                columns = jnp.concatenate([left, sign * own, right], axis=1)
+                units[end.node] = units[end.node] + columns if end.node in units else columns
+        n = element.components
+        rows.append(jnp.concatenate([jnp.zeros((n, first)), block, jnp.zeros((n, k - first - n))], axis=1))
+        first += n
+    return ElementTangents(units, actual.frame_forces.share * jnp.concatenate(rows))
+
+
+def element_pose(topology: Topology, motion: Motion, element: FrameForce) -> Pose:
+    """The pose of an element's child frame relative to that of its parent."""
+    return _placed(topology, motion, element)[2]
+
+
+class _End(NamedTuple):
+    """A frame of an element in global axes."""
+
+    rotation: Float[Array, "3 3"]
+    place: Float[Array, "3"]
+
+
+def _placed(topology: Topology, motion: Motion, element: FrameForce) -> tuple[_End, _End, Pose]:
+    """The frames of an element's parent and child, and their pose."""
+    ends, velocities = [], []
+    for end in (element.parent, element.child):
+        rotation, point, velocity = (part[..., 0] for part in node_frames(topology, motion, [end.node]))
+        ends.append(_End(product(rotation, end.rotation), point + apply(rotation, end.position)))
+        velocities.append(velocity)
+    parent, child = ((*end, velocity) for end, velocity in zip(ends, velocities))
+    return ends[0], ends[1], pose_between(parent, child)
+
+
+def _at_node(
+    topology: Topology, motion: Motion, node: int, force: Array, moment: Array, place: Array
+) -> tuple[Array, Array]:
+    """Force and moment at a node's reference point in the axes of its link, of ones at a place in global axes."""
+    n = topology.n_links
+    link = motion.links.rotation[:, :, topology.link_of(node)]
+    interfaces = motion.interfaces.point
+    point = motion.links.point[:, node] if node < n else interfaces[:, topology.interfaces.index(node - n)]
+    return apply_transposed(link, force), apply_transposed(link, moment + cross(place - point, force))

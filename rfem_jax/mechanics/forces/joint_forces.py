@@ -1,0 +1,200 @@
+"""Forces and moments along the coordinates of the tree joints, besides what holds their links together.
+
+Place in the pipeline: inputs, joint_laws -> **joint_forces** -> dynamics, residual, loads, statics,
+reference.formulation.
+
+They are the moments and forces of drives, and springs, dampers and laws of a joint's own position and rate.  Springs
+and dampers, those of compliant joints among them, are inside a joint: parts of its load.  Drives and laws act from
+outside it and are not (theory (3.17)).
+"""
+
+from functools import reduce
+from typing import NamedTuple, TypeGuard
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from rfem_jax.mechanics.algebra.vectors import Scalar, dot
+from rfem_jax.mechanics.laws.joint_laws import JointLaw, SpringLaw, TableLaw
+from rfem_jax.mechanics.laws.joint_springs import CompliantSpring, diagonal_tangent
+from rfem_jax.mechanics.model.inputs import DriveInput
+from rfem_jax.mechanics.model.model import Coordinates, State, Topology
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors
+
+# Forces [N, N m] by cut joint, counted among these, and component: 0 to 2 of the force along the axes of L, 3 to 5 of
+# the moment.
+CutForces = dict[tuple[int, int], Float[Array, ""]]
+
+
+class FrictionState(NamedTuple):
+    """Friction along one motion of a joint: rate [rad/s, m/s], and that at which the friction is taken, which is
+    another one at a start (theory (12.10)); normal load [N] (None where friction does not depend on it), force [N m, N]
+    on the child."""
+
+    rate: Float[Array, ""]
+    sliding: Float[Array, ""]
+    normal: Float[Array, ""] | None
+    force: Float[Array, ""]
+
+
+class LawForces(NamedTuple):
+    """What springs, dampers, friction and laws exert at one instant.
+
+    inside, outside: forces [N, N m] by joint coordinate, of springs with dampers and friction, and of laws; dissipated,
+    power [W]: of the dampers and friction, and of the laws whose work is not known by their positions; cuts: of
+    friction in cut joints; friction: by its name; these are None without any friction.
+    """
+
+    inside: dict[int, Float[Array, ""]]
+    outside: dict[int, Float[Array, ""]]
+    dissipated: Float[Array, ""]
+    power: Float[Array, ""]
+    cuts: CutForces | None = None
+    friction: dict[str, FrictionState] | None = None
+
+
+def law_forces(actual: ModelWithErrors, state: State) -> LawForces | None:
+    """Forces of springs, dampers and laws at one instant; None for a mechanism without them."""
+    springs = tree_springs(actual)
+    if actual.forces is None and not springs:
+        return None
+    inside: dict[int, Array] = {}
+    outside: dict[int, Array] = {}
+    dissipated = power = jnp.zeros(())
+    with jax.named_scope("joint_laws"):
+        laws, share = ({}, 1.0) if actual.forces is None else (actual.forces.laws, actual.forces.share)
+        for law in laws.values():
+            position, rate = state.position.joints[law.place], state.velocity.joints[law.coordinate]
+            force = share * law.force(position, rate)
+            side = outside
+            if isinstance(law, SpringLaw):
+                side = inside
+                dissipated = dissipated + share * law.damping * rate**2
+            elif not _of_position_alone(law, actual.topology):
+                if actual.topology.sprung:
+                    rate = rate_about_axis(actual.topology, state, law.coordinate)
+                power = power + force * rate
+            side[law.coordinate] = side[law.coordinate] + force if law.coordinate in side else force
+        for spring in springs:
+            position, rate = _at(spring, state)
+            inside |= dict(zip(spring.coordinates, spring.along(position, rate)))
+            dissipated = dissipated - dot(spring.along(position, rate) - spring.along(position, 0.0 * rate), rate)
+    return LawForces(inside, outside, dissipated, power)
+
+
+def tree_springs(actual: ModelWithErrors) -> list[CompliantSpring]:
+    """The springs of compliant joints of the tree."""
+    return [spring for spring in (actual.springs or {}).values() if spring.coordinates]
+
+
+def _at(spring: CompliantSpring, state: State) -> tuple[Array, Array]:
+    """Position and rate of the coordinates of a spring."""
+    joints, rates = state.position.joints, state.velocity.joints
+    return jnp.stack([joints[k] for k in spring.places]), jnp.stack([rates[k] for k in spring.coordinates])
+
+
+def applied_forces(
+    topology: Topology, position: Coordinates, drive: DriveInput, laws: LawForces | None
+) -> dict[int, Float[Array, ""]]:
+    """Generalised forces [N m, N] by joint coordinate, where any acts."""
+    found: dict[int, Array] = dict(drive.forces)
+    for side in () if laws is None else (laws.inside, laws.outside):
+        for k, force in side.items():
+            found[k] = found[k] + force if k in found else force
+    for side in [] if not topology.sprung else [drive.forces, {} if laws is None else laws.outside]:
+        for k, force in side.items():
+            if (tilted := topology.tilted(k)) is not None:
+                share = jnp.sin(position.joints[tilted[0]]) * force
+                found[tilted[1]] = found[tilted[1]] + share if tilted[1] in found else share
+    return found
+
+
+def rate_about_axis(topology: Topology, state: State, k: int) -> Float[Array, ""]:
+    """Rate [rad/s, m/s] about or along the axis on the parent of a joint coordinate: its own, and what the second axis
+    of a sprung tilt, which the first angle turns, has of it (theory (13.5))."""
+    rate, tilted = state.velocity.joints[k], topology.tilted(k)
+    if tilted is None:
+        return rate
+    return rate + jnp.sin(state.position.joints[tilted[0]]) * state.velocity.joints[tilted[1]]
+
+
+def about_parents_axes(
+    topology: Topology, position: Coordinates, hinge: Float[Array, " freedoms"]
+) -> Float[Array, " freedoms"]:
+    """Loads along the joint coordinates with those of the second axes of sprung tilts taken across the parents' axes,
+    so that what holds an angle is a moment about the parent's axis and none of its tilt (theory (13.5))."""
+    for k in range(topology.n_freedoms if topology.sprung else 0):
+        if (tilted := topology.tilted(k)) is not None:
+            place, second = tilted
+            share = jnp.where(np.arange(topology.n_freedoms) == second, jnp.sin(position.joints[place]), 0.0)
+            hinge = hinge - share * hinge[k]
+    return hinge
+
+
+def by_coordinate(topology: Topology, forces: dict[int, Float[Array, ""]]) -> Float[Array, " freedoms"]:
+    """Forces, of which there is at least one, of all joint coordinates, zero where none acts."""
+    rows = np.arange(topology.n_freedoms)
+    return reduce(jnp.add, [jnp.where(rows == k, force[None], 0.0) for k, force in forces.items()])
+
+
+def hinge_moments(topology: Topology, drive: DriveInput) -> Float[Array, " links"] | None:
+    """Moments [N m] of drives about the hinges of the tree, zero where none acts; None where that is everywhere."""
+    links = np.arange(topology.n_links)
+    about = [
+        jnp.where(links == topology.link_of_freedom[k], moment[None], 0.0)
+        for k, moment in drive.forces.items()
+        if topology.about_hinge(k)
+    ]
+    return reduce(jnp.add, about) if about else None
+
+
+def outside_forces(topology: Topology, drive: DriveInput, laws: LawForces | None) -> list[tuple[int, Float[Array, ""]]]:
+    """Joint coordinates and the forces [N, N m] of laws, and of drives on others than hinges, which are no part of the
+    joints' loads."""
+    of_laws = [] if laws is None else list(laws.outside.items())
+    return of_laws + [(k, force) for k, force in drive.forces.items() if not topology.about_hinge(k)]
+
+
+def law_energy(actual: ModelWithErrors, position: Coordinates) -> Float[Array, ""]:
+    """Potential energy [J] of the springs of the joints of the tree."""
+    springs = [] if actual.forces is None else actual.forces.laws.values()
+    energies = [law.energy(position.joints[law.place]) for law in springs if isinstance(law, SpringLaw)]
+    energy = jnp.asarray(sum(energies)) * (1.0 if actual.forces is None else actual.forces.share)
+    for spring in tree_springs(actual):
+        energy = energy + spring.energy(jnp.stack([position.joints[k] for k in spring.places]))
+    return energy
+
+
+def law_work(actual: ModelWithErrors, position: Coordinates) -> list[Float[Array, ""]]:
+    """Works [J] of the laws that depend on a joint's position alone, from any fixed one."""
+    if actual.forces is None:
+        return []
+    laws = [law for law in actual.forces.laws.values() if _of_position_alone(law, actual.topology)]
+    return [actual.forces.share * law.work(position.joints[law.place]) for law in laws]
+
+
+def _of_position_alone(law: JointLaw, topology: Topology) -> TypeGuard[TableLaw]:
+    """Whether the work of a law from outside is a function of its coordinate: of a table, where no sprung tilt turns
+    what it acts about."""
+    return isinstance(law, TableLaw) and not topology.sprung
+
+
+def law_tangent(
+    actual: ModelWithErrors, state: State, q_factor: Scalar, v_factor: Scalar
+) -> dict[int, Float[Array, ""]]:
+    """Minus the derivatives of the forces of springs, dampers and laws with respect to the accelerations of their
+    coordinates, for the given derivatives of position [s^2] and rate [s]; at least zero, so that what they are added to
+    stays positive."""
+    found: dict[int, Array] = {}
+    for law in [] if actual.forces is None else actual.forces.laws.values():
+        position, rate = state.position.joints[law.place], state.velocity.joints[law.coordinate]
+        along = [jnp.asarray(factor, float) for factor in (q_factor, v_factor)]
+        value = jnp.maximum(-jax.jvp(law.force, (position, rate), tuple(along))[1], 0.0)
+        found[law.coordinate] = found[law.coordinate] + value if law.coordinate in found else value
+    for spring in tree_springs(actual):
+        values = diagonal_tangent(spring.along, *_at(spring, state), q_factor, v_factor)
+        found |= dict(zip(spring.coordinates, values))
+    return found

@@ -1,0 +1,8 @@
+"""What springs, contacts, friction and forces are, as arrays and functions of their own motion: no mechanism yet.
+
+joint_laws, joint_springs     springs, dampers, tables and functions along joint coordinates; compliance
+friction_laws                 friction in joints
+contact_law, clearances       contact of a pin and its bush; joints with clearance
+frame_forces, point_laws      wrenches between two frames; springs and forces at points
+bearings                      capacities
+"""

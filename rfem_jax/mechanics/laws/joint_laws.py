@@ -1,0 +1,136 @@
+"""Forces along the free motions of the tree joints as arrays: springs, dampers, tables and functions.
+
+Place in the pipeline: description.forces -> **joint_laws** -> model, with_errors, joint_forces.
+
+Each acts on one joint coordinate and depends on its position and rate alone (theory (3.14) to (3.16)).
+"""
+
+import abc
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import ArrayLike, Float
+
+from rfem_jax.description.forces import JointForce, JointForceFunction, JointForceTable, JointSpring
+from rfem_jax.mechanics.laws.friction_laws import Friction
+
+
+class JointLaw(eqx.Module):
+    """A force along one joint coordinate, positive as the coordinate.
+
+    coordinate, place: indices of the coordinate among the rates and in the position of the tree joints.
+    """
+
+    coordinate: eqx.AbstractVar[int]
+    place: eqx.AbstractVar[int]
+
+    @abc.abstractmethod
+    def force(self, position: Float[Array, ""], rate: Float[Array, ""]) -> Float[Array, ""]:
+        """Force [N] or moment [N m] at a position [m, rad] and rate."""
+
+
+class SpringLaw(JointLaw):
+    """preload - stiffness (position - rest) - damping rate, in SI units."""
+
+    coordinate: int = eqx.field(static=True)
+    place: int = eqx.field(static=True)
+    stiffness: Float[Array, ""]
+    damping: Float[Array, ""]
+    rest: Float[Array, ""]
+    preload: Float[Array, ""]
+
+    def force(self, position, rate):
+        return self.preload - self.stiffness * (position - self.rest) - self.damping * rate
+
+    def energy(self, position: Float[Array, ""]) -> Float[Array, ""]:
+        """Potential energy [J], zero at rest."""
+        stretch = position - self.rest
+        return (0.5 * self.stiffness * stretch - self.preload) * stretch
+
+
+class TableLaw(JointLaw):
+    """Linear between given positions, constant outside."""
+
+    coordinate: int = eqx.field(static=True)
+    place: int = eqx.field(static=True)
+    positions: Float[Array, " rows"]
+    forces: Float[Array, " rows"]
+
+    def force(self, position, rate):
+        del rate
+        return between_rows(self.positions, self.forces, position)
+
+    def work(self, position: Float[Array, ""]) -> Float[Array, ""]:
+        """Work [J] done from the first row to a position."""
+        return work_from_first_row(self.positions, self.forces, position)
+
+
+def between_rows(
+    positions: Float[Array, " rows"], forces: Float[Array, " rows"], position: Float[Array, ""]
+) -> Float[Array, ""]:
+    """Force at a position from a table, linear between its rows and constant outside."""
+    last = positions.shape[0] - 2
+    at = jnp.clip(position, positions[0], positions[-1])
+    # Comparisons and sums, no search: it is a loop, and gathers are slow in compiled loops.
+    row = jnp.clip(jnp.sum(at >= positions) - 1, 0, last) == jnp.arange(last + 1)
+    share = (at - positions[:-1]) / (positions[1:] - positions[:-1])
+    values = forces[:-1] + share * (forces[1:] - forces[:-1])
+    return jnp.sum(jnp.where(row, values, 0.0))
+
+
+def work_from_first_row(
+    positions: Float[Array, " rows"], forces: Float[Array, " rows"], position: Float[Array, ""]
+) -> Float[Array, ""]:
+    """Integral of the force of a table, as `between_rows`, from its first row to a position."""
+    way = jnp.clip(position, positions[:-1], positions[1:]) - positions[:-1]
+    slope = (forces[1:] - forces[:-1]) / (positions[1:] - positions[:-1])
+    outside = forces[0] * jnp.minimum(position - positions[0], 0.0)
+    outside = outside + forces[-1] * jnp.maximum(position - positions[-1], 0.0)
+    return jnp.sum((forces[:-1] + 0.5 * slope * way) * way) + outside
+
+
+class FunctionLaw(JointLaw):
+    """A user's function of position and rate."""
+
+    coordinate: int = eqx.field(static=True)
+    place: int = eqx.field(static=True)
+    function: Callable[..., Float[Array, ""]]
+
+    def force(self, position, rate):
+        return self.function(position, rate)
+
+
+class JointLaws(eqx.Module):
+    """All forces along joint coordinates, by their names; share: of their full size, for load steps."""
+
+    laws: dict[str, JointLaw]
+    share: Float[Array, ""]
+
+
+def joint_law(force: JointForce, coordinate: int, place: int) -> JointLaw:
+    """The arrays of a described force on a joint coordinate."""
+    if isinstance(force, JointSpring):
+        numbers = {name: getattr(force, name) for name in ("stiffness", "damping", "rest", "preload")}
+        return SpringLaw(coordinate, place, **{name: jnp.asarray(x, jnp.float64) for name, x in numbers.items()})
+    if isinstance(force, JointForceTable):
+        columns = (jnp.asarray(x, jnp.float64) for x in (force.positions, force.forces))
+        return TableLaw(coordinate, place, *columns)
+    if isinstance(force, JointForceFunction):
+        return FunctionLaw(coordinate, place, force.function)
+    raise TypeError(f"{type(force).__name__} is no force that this model knows.")
+
+
+def law_derivatives(
+    law: JointLaw | Friction, position: ArrayLike, rate: ArrayLike
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Derivatives of a force with respect to position and rate."""
+    at = jnp.asarray(position, jnp.float64), jnp.asarray(rate, jnp.float64)
+    return jax.grad(law.force, (0, 1))(*at)
+
+
+def holds(law: JointLaw) -> bool:
+    """Whether a force may depend on the position: all but a damper without a spring; of numbers that are known."""
+    return not isinstance(law, SpringLaw) or float(law.stiffness) > 0.0

@@ -1,0 +1,12 @@
+"""A mechanism as arrays: from what is specified to the constants of the equations of motion.
+
+model               Model, State, Coordinates, Topology; summary: a model in words
+building            description -> Model
+discretisation      its loops closed at the start, rank and mobility
+nominal_geometry    the perfect mechanism in NumPy: does it close, rank, mobility; nominal_path, start_freedoms, normal_loads
+with_errors         + AssemblyErrors -> constants of the equations of motion
+inputs              the drive at one instant
+orientations        coordinates that are quaternions
+sources             the numbers that a model was made of
+status              what can happen to an assembly or a run
+"""

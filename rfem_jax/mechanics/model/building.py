@@ -1,0 +1,378 @@
+"""From a described mechanism to the arrays of a model, before its loops are closed.
+
+Place in the pipeline: description -> **building** -> discretisation.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from rfem_jax.description.errors import InputError
+from rfem_jax.description.forces import JointForce, JointFriction
+from rfem_jax.description.joint_kinds import KINDS, JointKind, compliant
+from rfem_jax.description.joints import Joint
+from rfem_jax.description.links import Link
+from rfem_jax.description.mechanism import EQUILIBRIUM, Mechanism
+from rfem_jax.description.numbers import Number, array_of, rotation_of_angles, traced
+from rfem_jax.description.parts import Parts, parts_of
+from rfem_jax.description.point_forces import AtPoint, BetweenPoints, PointLoad
+from rfem_jax.mechanics.laws.bearings import bearing_capacities
+from rfem_jax.mechanics.laws.clearances import clearance_name, pin_in_bush
+from rfem_jax.mechanics.laws.frame_forces import FrameForce, NodeFrame
+from rfem_jax.mechanics.laws.friction_laws import Friction, friction_law
+from rfem_jax.mechanics.laws.joint_laws import JointLaw, joint_law
+from rfem_jax.mechanics.laws.joint_springs import CompliantSpring, compliant_spring
+from rfem_jax.mechanics.laws.point_laws import load_at, spring_between
+from rfem_jax.mechanics.model.model import BASE, Model, Sections, Topology, rfe_fractions
+from rfem_jax.mechanics.model.orientations import quaternion_of_angles
+from rfem_jax.mechanics.model.sources import ForceNodes, source_of
+
+
+def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = False) -> Model:
+    """Arrays of a mechanism whose links have the given numbers of rfes (by name).
+
+    The start coordinates are the description's approximate ones; `discretise` closes the loops.
+
+    **Raises:** `InputError` if a tree joint does not lie on the first rfe of its link.
+    """
+    parts = parts_of(mechanism)
+    structure = _structure_of(mechanism, parts, elements, exact)
+    model = arrays_of(parts, structure)
+    return replace(model, source=source_of(parts, mechanism.driven_motions, structure.points, structure.products))
+
+
+class PartStructure(NamedTuple):
+    """What of a mechanism does not change with its numbers: topology; points: nodes of the ends of the forces at
+    points, by their names; products: whether point masses may have products of inertia."""
+
+    topology: Topology
+    points: ForceNodes
+    products: bool
+
+
+def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], exact: bool) -> PartStructure:
+    """Which rigid bodies there are and what is on each."""
+    links = [mechanism.link(joint.child) for joint in mechanism.tree_joints]
+    discretised = _Links(tuple(links), tuple(elements[link.name] for link in links))
+    tree = {joint.child: joint for joint in parts.joints if not joint.cut}
+    joints = [tree[link.name] for link in links] + [j for j in parts.joints if j.cut]
+    parents = [discretised.attach(j.parent, j.position, True) for j in joints]
+    children = [discretised.attach(j.child, j.child_position, j.cut) for j in joints]
+    _require_first_rfes(joints[: len(links)], children)
+    masses = [(i, mass) for i, link in enumerate(links) for mass in _masses_of(link)]
+    points = _force_nodes(mechanism, discretised)
+    topology = Topology(
+        links=tuple(link.name for link in links),
+        joints=tuple(j.name for j in joints),
+        joint_order=tuple(j.name for j in mechanism.joints),
+        error_names=tuple(mechanism.error_names),
+        kinds=tuple(j.kind for j in joints),
+        parents=tuple(p.node for p in parents),
+        children=tuple(c.node for c in children),
+        parent_at_end=tuple(p.at_end for p in parents),
+        child_at_end=tuple(c.at_end for c in children),
+        elements=discretised.elements,
+        drives=tuple(_coordinate(joints, *motion) for motion in mechanism.driven_motions),
+        masses=tuple(discretised.node(i, float(mass.position[0])) for i, mass in masses),
+        minimum_norm=mechanism.redundant_reactions == "minimum_norm",
+        exact=exact,
+        holders=tuple(sorted({node for _, nodes in points for node in nodes if node >= len(links)})),
+        sprung=tuple(j.sprung for j in joints) if any(j.compliance or j.clearance for j in joints) else (),
+        clearances=tuple(n for n, j in enumerate(joints) if j.clearance),
+        settles=mechanism.start == EQUILIBRIUM,
+        massless=tuple(i for i, link in enumerate(links) if link.mass == 0.0),
+    )
+    return PartStructure(topology, points, any(any(mass.products) for _, mass in masses))
+
+
+def arrays_of(parts: Parts, structure: PartStructure) -> Model:
+    """The arrays of parts whose numbers may be traced, in a structure that was found with other numbers."""
+    topology, points, products = structure
+    links = [parts.link(name) for name in topology.links]
+    joints = [parts.joint(name) for name in topology.joints]
+    seats = zip(joints, topology.parents, strict=True)
+    bores = zip(joints, topology.children, strict=True)
+    masses = [mass for link in links for mass in _masses_of(link)]
+    held = zip(topology.masses, masses, strict=True)
+    start = [_start(j, topology.kind(l)) for l, j in enumerate(joints[: len(links)])]
+    model = Model(
+        topology=topology,
+        length=_array([link.length for link in links]),
+        section=_sections(links),
+        parent_rotation=_rotations([j.orientation for j in joints]),
+        parent_position=_columns([_in_node(topology, links, node, j.position, True) for j, node in seats]),
+        child_rotation=_rotations([j.child_orientation for j in joints]),
+        child_position=_columns([_in_node(topology, links, node, j.child_position, j.cut) for j, node in bores]),
+        point_mass=_array([mass.mass for mass in masses]),
+        point_position=_columns([_in_node(topology, links, node, mass.position, False) for node, mass in held]),
+        point_inertia=_columns([mass.inertia for mass in masses]),
+        start_joints=_array([value for values in start for value in values]),
+        cut_angles=_array([0.0] * (len(joints) - len(links))),
+        gravity=_array(parts.gravity),
+        forces=_joint_laws(parts, topology) or None,
+        point_products=_columns([mass.products for mass in masses]) if products else None,
+        frame_forces=_frame_forces(parts, topology, links, points) or None,
+        friction=_frictions(parts, topology) or None,
+        springs=(_springs(parts, topology) or None) if topology.sprung else None,
+        bearings=bearing_capacities(joints) or None,
+        start_rates=_start_rates(joints[: len(links)], topology),
+        reaction_length=_reaction_length(parts) if topology.minimum_norm else None,
+    )
+    return _with_clearances(model, joints) if topology.clearances else model
+
+
+def _reaction_length(parts: Parts) -> Array:
+    """The length [m] over which moments count in the norm of reactions: the longest link unless given."""
+    longest = array_of([link.length for link in parts.links]).max()
+    return jnp.asarray(longest if parts.reaction_length is None else parts.reaction_length, jnp.float64)
+
+
+def _with_clearances(model: Model, joints: Sequence[Joint]) -> Model:
+    """The model with the contacts of its joints, which are elements between the frames on both sides."""
+    topology, elements = model.topology, dict(model.frame_forces or {})
+    for j in topology.clearances:
+        clearance = joints[j].clearance
+        assert clearance is not None
+        seat = NodeFrame(topology.parents[j], model.parent_rotation[:, :, j], model.parent_position[:, j])
+        bore = NodeFrame(topology.children[j], model.child_rotation[:, :, j], model.child_position[:, j])
+        elements[clearance_name(joints[j].name)] = pin_in_bush(clearance, seat, bore)
+    return replace(model, frame_forces=elements)
+
+
+class _Mass(NamedTuple):
+    """A point mass, or a body: mass [kg], its centre [m] in the link frame, principal moments and products of inertia
+    (J_xy, J_xz, J_yz) [kg m^2]."""
+
+    mass: Number
+    position: Sequence[Number]
+    inertia: Sequence[Number]
+    products: Sequence[Number] = (0.0, 0.0, 0.0)
+
+
+def _masses_of(link: Link) -> list[_Mass]:
+    """The body of a link, if it has one, and its point masses."""
+    found = [_Mass(point.mass, point.position, point.inertia) for point in link.point_masses]
+    if link.body is None:
+        return found
+    tensor = link.body.tensor
+    products = (tensor[0, 1], tensor[0, 2], tensor[1, 2])
+    return [_Mass(link.body.mass, link.body.centre, [tensor[i, i] for i in range(3)], products), *found]
+
+
+def _coordinate(joints: Sequence[Joint], joint: str, motion: str) -> int:
+    """Index among the rates of a free motion about or along one axis; joints of the tree come first."""
+    index = [one.name for one in joints].index(joint)
+    # Motions about any axis come last, so that those before have one coordinate each.
+    kinds = [compliant(KINDS[one.kind], one.sprung) for one in joints[: index + 1]]
+    return sum(len(kind.freedoms) for kind in kinds[:index]) + kinds[index].motions.index(motion)
+
+
+def _joint_laws(parts: Parts, topology: Topology) -> dict[str, JointLaw]:
+    """The forces along joint coordinates, by their names."""
+    found = {}
+    for force in parts.forces:
+        if isinstance(force, JointFriction) or not isinstance(force, JointForce):
+            continue
+        joint = topology.joints.index(force.joint)
+        n = force.coordinate(parts.joint(force.joint))
+        found[force.name] = joint_law(force, topology.own_coordinates[joint][n], topology.own_positions[joint][n])
+    return found
+
+
+def _frictions(parts: Parts, topology: Topology) -> dict[str, Friction]:
+    """Friction in joints, by its names."""
+    found = {}
+    for force in parts.forces:
+        if isinstance(force, JointFriction):
+            joint, described = topology.joints.index(force.joint), parts.joint(force.joint)
+            n, places = force.coordinate(described), (None, None)
+            if not described.cut:
+                places = topology.own_coordinates[joint][n], topology.own_positions[joint][n]
+            found[force.name] = friction_law(force, described, joint, *places)
+    return found
+
+
+def _springs(parts: Parts, topology: Topology) -> dict[str, CompliantSpring]:
+    """The springs of compliant joints by names as "A.radial"."""
+    found = {}
+    for j, joint in enumerate(topology.joints):
+        for spring in parts.springs_of(joint):
+            if j < topology.n_links:
+                named = list(enumerate(topology.kind(j).freedoms))
+                at = [n for n, one in named if f"{'TR'[one.rotation]}_{'xyz'[one.axis]}" in spring.motions]
+                rates, numbers = topology.coordinates[j], topology.positions[j]
+                made = compliant_spring(spring, tuple(rates[n] for n in at), tuple(numbers[n] for n in at), ())
+            else:
+                made = compliant_spring(spring, (), (), _rows_of(topology, j, spring.motions))
+            found[f"{joint}.{spring.name}"] = made
+    return found
+
+
+def _rows_of(topology: Topology, cut: int, motions: Sequence[str]) -> tuple[int, ...]:
+    """Closure equations of a cut joint that are the laws of a spring on these motions."""
+    nominal, rows = topology.kind(cut).nominal, topology.constraints[cut - topology.n_links]
+    of_centre = rows[: len(nominal.across)]
+    if motions[0][0] == "R":
+        return tuple(rows[len(of_centre) :])
+    return tuple(k for k, axis in zip(of_centre, nominal.across) if f"T_{'xyz'[axis]}" in motions)
+
+
+def _force_nodes(mechanism: Mechanism, links: "_Links") -> ForceNodes:
+    """The nodes of the ends of all forces at points and between them, by the names of the forces."""
+    found = []
+    for force in mechanism.point_forces:
+        nodes = tuple(links.attach(name, place, False).node for name, place in force.ends())
+        if isinstance(force, BetweenPoints) and nodes[0] == nodes[1]:
+            raise InputError(
+                f"Argument `points` of force `{force.name}` must move against each other, but both lie on one rigid "
+                f"finite element of link `{force.links[0]}`; move them apart, or divide the link more finely."
+            )
+        found.append((force.name, nodes))
+    return tuple(found)
+
+
+def _frame_forces(parts: Parts, topology: Topology, links: Sequence[Link], points: ForceNodes) -> dict[str, FrameForce]:
+    """The forces at points and between them, by their names."""
+    found: dict[str, FrameForce] = {}
+    nodes, unit = dict(points), jnp.eye(3)
+    base = NodeFrame(BASE, unit, jnp.zeros(3))
+    for force in parts.forces:
+        if not isinstance(force, PointLoad):
+            continue
+        frames = []
+        for node, (_, place) in zip(nodes[force.name], force.ends(), strict=True):
+            position = jnp.asarray(array_of(_in_node(topology, links, node, place, False)))
+            frames.append(NodeFrame(node, unit, position))
+        if isinstance(force, BetweenPoints):
+            found[force.name] = spring_between(force, *frames)
+        else:
+            assert isinstance(force, AtPoint)
+            found[force.name] = load_at(force, base, frames[0])
+    return found
+
+
+def _in_node(
+    topology: Topology, links: Sequence[Link], node: int, position: Sequence[Number] | None, at_end: bool
+) -> list[Number]:
+    """A place in the frame of the node that holds it [m]; None: the end of its link (`at_end`) or its start."""
+    if node == BASE:
+        return [0.0, 0.0, 0.0] if position is None else list(position)
+    index = topology.link_of(node)
+    x, y, z = (links[index].length if at_end else 0.0, 0.0, 0.0) if position is None else position
+    if node < topology.n_links:
+        return [x, y, z]
+    first = topology.ranges[index][0]
+    middle = rfe_fractions(topology.elements[index])[1][node - topology.n_links - first + 1]
+    return [x - float(middle) * links[index].length, y, z]
+
+
+class _Attachment(NamedTuple):
+    """One side of a joint: its node, and whether that is the far end of a link."""
+
+    node: int
+    at_end: bool
+
+
+class _Links(NamedTuple):
+    """The links in the order of the model, and their numbers of rfes."""
+
+    links: tuple[Link, ...]
+    elements: tuple[int, ...]
+
+    def node(self, index: int, x: float) -> int:
+        """Node that holds a point of a link."""
+        link, n = self.links[index], self.elements[index]
+        edge = np.clip(x / link.length * (n - 1) + 0.5, 0, n - 1)
+        i = 0 if n == 1 else int(min(edge, n - 1))
+        if i == 0:
+            return index
+        return len(self.links) + sum(n - 1 for n in self.elements[:index]) + i - 1
+
+    def attach(self, owner: str, position: Sequence[float] | None, at_end: bool) -> _Attachment:
+        """One side of a joint; without a position it is at the link's end (`at_end`) or its start."""
+        if owner == "base":
+            return _Attachment(BASE, False)
+        index = [link.name for link in self.links].index(owner)
+        link = self.links[index]
+        x = (link.length if at_end else 0.0) if position is None else position[0]
+        return _Attachment(self.node(index, x), abs(x - link.length) <= 1e-12 * link.length)
+
+
+def _require_first_rfes(joints: Sequence[Joint], children: Sequence[_Attachment]) -> None:
+    """Raise InputError for the first tree joint that does not lie on rfe 0 of its link."""
+    for joint, child in zip(joints, children):
+        if child.node >= len(joints):
+            raise InputError(
+                f"Argument `child_position` of joint {joint.name!r} must lie on the first rigid "
+                f"finite element of link {joint.child!r}, but is {joint.child_position}: a tree "
+                "joint carries its link there. Swap the link's ends or cut this joint instead."
+            )
+
+
+def _start(joint: Joint, kind: JointKind) -> list[Number]:
+    """Start of a tree joint as numbers of the position, zero along springs: its three angles as a quaternion if it
+    turns about any axis."""
+    values: list[Number] = [0.0] * len(kind.freedoms)
+    for n, value in zip(kind.own, joint.start_values, strict=True):
+        values[n] = value
+    if not kind.ball:
+        return values
+    # No drive holds these angles: they are numbers of the description, not of a design.
+    return [*values[:-3], *quaternion_of_angles(np.array(values[-3:], dtype=float)).tolist()]
+
+
+def _start_rates(joints: Sequence[Joint], topology: Topology) -> Array | None:
+    """Initial rates of the coordinates of the tree joints, zero where none is given; None if nowhere."""
+    if all(rate is None for joint in joints for rate in joint.start_rates):
+        return None
+    values: list[Number] = [0.0] * topology.n_freedoms
+    for at, joint in zip(topology.own_coordinates, joints, strict=True):
+        for k, rate in zip(at, joint.start_rates, strict=True):
+            values[k] = 0.0 if rate is None else rate
+    return _array(values)
+
+
+def _sections(links: Sequence[Link]) -> Sections:
+    properties = [link.properties for link in links]
+
+    def row(name: str) -> Array:
+        return _array([getattr(p, name) for p in properties])
+
+    def rows(*names: str) -> Array:
+        return jnp.asarray(array_of([[getattr(p, name) for p in properties] for name in names]), jnp.float64)
+
+    return Sections(
+        stiffness=rows("axial", "shear_y", "shear_z", "torsion", "bending_y", "bending_z"),
+        line_density=row("line_density"),
+        rotary=rows("rotary_x", "rotary_y", "rotary_z"),
+        damping=row("damping"),
+        edges=tuple(_edge(link) for link in links),
+    )
+
+
+def _array(values: Sequence[Number]) -> Array:
+    """Numbers (n,)."""
+    return jnp.asarray(array_of(list(values)), jnp.float64)  # with its type: without, JAX compiles a program
+
+
+def _edge(link: Link) -> Array | None:
+    """Stresses at the edge of a link's section per unit of its loads; None where the edge is not known."""
+    points = () if link.section is None else link.section.edge_stresses()
+    return jnp.asarray(array_of([list(point) for point in points]).T, jnp.float64) if points else None
+
+
+def _columns(rows: Sequence[Sequence[Number]]) -> Array:
+    """Vectors (3, n)."""
+    return jnp.asarray(array_of([list(row) for row in rows]).reshape(-1, 3).T, jnp.float64)
+
+
+def _rotations(orientations: Sequence[Sequence[Number]]) -> Array:
+    """Rotations (3, 3, n) by angles about x, y, z."""
+    rotations = [rotation_of_angles(angles) for angles in orientations]
+    if traced(rotations):
+        return jnp.stack([jnp.asarray(rotation) for rotation in rotations], axis=-1)
+    return jnp.asarray(np.stack(rotations, axis=-1), jnp.float64)

@@ -1,0 +1,364 @@
+"""From a described mechanism to a model: discretisation, closed start, rank and mobility.
+
+Place in the pipeline: building, nominal_geometry -> **discretisation** -> everything else.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from rfem_jax.description.errors import InputError, require_choice
+from rfem_jax.description.mechanism import AS_GIVEN, ELEMENTS, EQUILIBRIUM, Mechanism
+from rfem_jax.description.precision import require_float64
+from rfem_jax.mechanics.laws.joint_laws import holds
+from rfem_jax.mechanics.laws.point_laws import PointLaw
+from rfem_jax.mechanics.model.building import build_model
+from rfem_jax.mechanics.model.model import BASE, Model, Topology
+from rfem_jax.mechanics.model.nominal_geometry import (
+    NominalGeometry,
+    Placed,
+    closure_jacobian,
+    gaps,
+    geometry_of,
+    joint_units,
+    moved,
+    node_place,
+    null_space,
+    place,
+    rank,
+    shortest,
+)
+from rfem_jax.mechanics.model.normal_loads import require_unique_normal_loads
+from rfem_jax.mechanics.model.sources import CLOSING_TOLERANCE, RIGID_CLOSING_TOLERANCE
+from rfem_jax.mechanics.model.start_freedoms import with_start_freedoms
+
+SMALLEST_DISTANCE = 1e-9  # of two points with a force between them, of the longest link
+IDLE_TOLERANCE = 1e-3  # of a motion of size one
+ROUNDING = 1e-12  # of the longest link: of loops that close
+SMALLEST_CHANGE = 1e-10  # of an equation of loops that a joint can be moved for, relative
+
+
+class StartHeld(NamedTuple):
+    """How a simulation starts: "as_given" or in "equilibrium"; names of the joint coordinates, as "A" or "C.T_y", that
+    it holds first: those of drives, and those for the freedoms that no drive holds; of those with initial rates."""
+
+    kind: str
+    driven: tuple[str, ...]
+    undriven: tuple[str, ...]
+    rates: tuple[str, ...]
+
+
+class Structure(NamedTuple):
+    """Coordinates and constraints of a model at its nominal start.
+
+    coordinates: number of coordinates, sprung directions of compliant joints among them; constraints: closure
+    equations, those of sprung directions left out; rank: of their Jacobian; mobility: coordinates - rank, the degrees
+    of freedom; rigid_*: the same with every link and every joint rigid; redundant: the multipliers, hence the joint
+    loads, are not unique; gap [m]: how far the cut joint that closes worst stays open at the start with every link
+    rigid; idle: names of links in a loop that could move alone if all were rigid, as a rod between two spherical joints
+    about its own axis; start: what the start of a simulation holds.
+    """
+
+    coordinates: int
+    constraints: int
+    rank: int
+    mobility: int
+    rigid_coordinates: int
+    rigid_rank: int
+    rigid_mobility: int
+    redundant: bool
+    gap: float
+    idle: tuple[str, ...] = ()
+    start: StartHeld = StartHeld(AS_GIVEN, (), (), ())
+
+
+def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | None = None) -> Model:
+    """Divide the links into rigid finite elements and close the loops at the start.
+
+    **Arguments:** `mechanism`: a `Mechanism`; `rfes`: number of rfes of every flexible link (None:
+    each link's own); `elements`: "linear" or "geometrically_exact" spring-damping elements (None:
+    the mechanism's).
+
+    **Raises:** `InputError` if JAX is not in double precision, if the loops cannot be closed with
+    the given lengths and start angles, or if the reactions are not unique and the mechanism does
+    not ask for the minimum-norm ones.
+    """
+    require_float64()
+    if rfes is not None and (rfes != int(rfes) or rfes < 2):
+        raise InputError(f"Argument `rfes` must be a whole number of at least 2, but is {rfes}.")
+    elements = mechanism.elements if elements is None else elements
+    require_choice(elements, ELEMENTS, "elements")
+    counts = {link.name: link.elements if rfes is None or link.elements == 1 else int(rfes) for link in mechanism.links}
+    built = build_model(mechanism, counts, elements == "geometrically_exact")
+    model = _closed_as_given(_close(built), np.asarray(built.start_joints))
+    _require_apart(model)
+    structure = describe(model)
+    topology = with_start_freedoms(_with_idle(model), _rates_given(model, mechanism))
+    model = dataclasses.replace(model, topology=topology)
+    if structure.redundant and not model.topology.minimum_norm:
+        locks = "" if structure.rigid_mobility else " Nothing moves: with rigid links its joints lock (mobility 0)."
+        raise InputError(
+            f"Argument `mechanism` must have unique joint reactions, but its "
+            f"{structure.constraints} closure equations have rank {structure.rank}: rigid loops with "
+            "parallel axes or slides are statically indeterminate. Make one link of each loop flexible between its "
+            "joints of the loop, give joints of each loop a compliance or a freer kind, or set redundant_reactions = "
+            '"minimum_norm" in the table [mechanism] (an argument of `Mechanism`) to get the reactions of least norm.'
+            + locks
+        )
+    if structure.redundant:
+        require_unique_normal_loads(model)
+    if structure.redundant and structure.gap > RIGID_CLOSING_TOLERANCE * float(np.max(model.length)):
+        raise InputError(
+            f"Argument `mechanism` must close at its start, but its rigid loops stay open by {structure.gap:.3g} m, "
+            "which no link can take up; give angles and positions with more decimals, or make a link of each loop "
+            "flexible."
+        )
+    return _remembering(model, structure)
+
+
+def _with_idle(model: Model) -> Model:
+    """The model with the coordinates that stand for idle freedoms at its start."""
+    idle = tuple(sorted(_idle_coordinates(model)))
+    return dataclasses.replace(model, topology=model.topology._replace(idle=idle)) if idle else model
+
+
+def _closed_as_given(model: Model, given: Float[np.ndarray, " numbers"]) -> Model:
+    """The closed model, closed once more from the start that the description gives, with the coordinates that stand for
+    freedoms that no drive holds as they are there, if the loops close so as well."""
+    if model.topology.n_cuts == 0:
+        return model
+    topology = with_start_freedoms(_with_idle(model), {})
+    chosen = tuple(k for k in topology.undriven if k not in topology.idle)
+    if not chosen:
+        return model
+    joints, residual, alignment, cuts = close_at(model, given, (*topology.held, *chosen))
+    before = np.abs(gaps(geometry_of(model), place(geometry_of(model), np.asarray(model.start_joints))).residual).max()
+    if not np.abs(residual).max() <= max(2.0 * before, ROUNDING) or (alignment < 0.0).any():
+        return model
+    return dataclasses.replace(model, start_joints=jnp.asarray(joints), cut_angles=jnp.asarray(cuts))
+
+
+def _rates_given(model: Model, mechanism: Mechanism) -> dict[int, str]:
+    """{coordinate with an initial rate: the argument that gives it}; zeros in lists are of those that may follow."""
+    topology, found = model.topology, {}
+    for l, name in enumerate(topology.joints[: topology.n_links]):
+        joint = mechanism.joint(name)
+        for k, rate in zip(topology.own_coordinates[l], joint.start_rates, strict=True):
+            if rate is not None and (joint.rates is None or rate != 0.0):
+                found[k] = f"`{joint.rate_field(topology.freedoms[k].rotation)}` of joint `{name}`"
+    return found
+
+
+def _remembering(model: Model, structure: Structure) -> Model:
+    """The model that knows its mobility, and how many of its closure equations say nothing new; with such ones designs
+    must close as rigid loops do."""
+    if structure.redundant:
+        topology = model.topology._replace(redundant=structure.constraints - structure.rank)
+        model = dataclasses.replace(model, topology=topology)
+    assert model.source is not None, "discretised models have one"
+    blueprint = model.source.blueprint
+    closing = RIGID_CLOSING_TOLERANCE if structure.redundant else blueprint.closing_tolerance
+    mobility = structure.rigid_mobility, structure.mobility
+    blueprint = dataclasses.replace(blueprint, closing_tolerance=closing, mobility=mobility)
+    return dataclasses.replace(model, source=dataclasses.replace(model.source, blueprint=blueprint))
+
+
+def _require_apart(model: Model) -> None:
+    """Raise InputError for a force between points that coincide at the start: it has no direction."""
+    geometry = geometry_of(model)
+    placed = place(geometry, np.asarray(model.start_joints))
+    for name, law in _between_points(model).items():
+        one, other = _places(geometry, placed, law)
+        if not np.linalg.norm(other - one) > SMALLEST_DISTANCE * geometry.scale:
+            raise InputError(
+                f"Argument `points` of force {name!r} must lie apart at the start, but coincide: a force along their "
+                "line has no direction there; move one of them, or take a force at a joint."
+            )
+
+
+def _between_points(model: Model) -> dict[str, PointLaw]:
+    """The forces along the line of two points."""
+    return {name: law for name, law in (model.frame_forces or {}).items() if isinstance(law, PointLaw)}
+
+
+def _places(geometry: NominalGeometry, placed: Placed, law: PointLaw) -> list[np.ndarray]:
+    """The two points of a force, in global axes."""
+    frames = [(node_place(geometry, placed, end.node), end) for end in (law.parent, law.child)]
+    return [point + rotation @ np.asarray(end.position) for (rotation, point), end in frames]
+
+
+def describe(model: Model) -> Structure:
+    """Rank and mobility at the nominal start, flexible and with every link rigid (theory (5.8))."""
+    geometry = geometry_of(model)
+    placed = place(geometry, np.asarray(model.start_joints))
+    jacobian = closure_jacobian(geometry, placed, rigid=False)
+    residual = gaps(geometry, placed).residual
+    sprung = model.topology.sprung_coordinates
+    own = [k for k in range(model.topology.n_freedoms) if k not in sprung]
+    rigid = closure_jacobian(geometry, placed)[:, own]
+    of_all, of_rigid = rank(jacobian), rank(rigid)
+    constraints, size = jacobian.shape
+    return Structure(
+        coordinates=size,
+        constraints=constraints,
+        rank=of_all,
+        mobility=size - of_all,
+        rigid_coordinates=len(own),
+        rigid_rank=of_rigid,
+        rigid_mobility=len(own) - of_rigid,
+        redundant=of_all < constraints,
+        gap=float(np.abs(residual).max(initial=0.0) * np.max(np.asarray(model.length))),
+        idle=tuple(dict.fromkeys(_idle_coordinates(model).values())),
+        start=start_held(model.topology),
+    )
+
+
+def start_held(topology: Topology) -> StartHeld:
+    """What the start of a simulation holds."""
+    undriven = () if topology.settles else topology.undriven
+    named = (tuple(map(topology.label_of, some)) for some in (topology.held, undriven, topology.rated))
+    return StartHeld(EQUILIBRIUM if topology.settles else AS_GIVEN, *named)
+
+
+def _idle_coordinates(model: Model) -> dict[int, str]:
+    """{joint coordinate that stands for an idle freedom: its link}: links with two joints or more, one of them on a
+    moving link, that can move while no other does, all of them rigid and their joint not driven (theory (5.17))."""
+    topology, geometry = model.topology, geometry_of(model)
+    if topology.n_cuts == 0:
+        return {}
+    n = topology.n_links
+    placed = place(geometry, np.asarray(model.start_joints))
+    laws = [] if model.forces is None else model.forces.values()
+    # A freedom that a spring holds is not idle.
+    held = [*(law.coordinate for law in laws if holds(law)), *topology.sprung_coordinates]
+    sprung = np.eye(topology.n_freedoms)[held]
+    twists, units = np.zeros((n, 6, topology.n_freedoms)), joint_units(geometry)
+    for l, parent in enumerate(topology.parents[:n]):
+        if parent != BASE:
+            twists[l] = twists[topology.link_of(parent)]
+        for k in topology.coordinates[l]:
+            twists[l, :, k] += units[k] * placed.twists[k]
+    twists[:, 3:] /= geometry.scale
+    stretched = [_stretching(model, placed, law, twists) for law in _between_points(model).values()]
+    held = [closure_jacobian(geometry, placed)[:, : topology.n_freedoms], sprung, *stretched]
+    free = null_space(np.vstack(held))
+    if free.shape[1] == 0:
+        return {}
+    moving = twists @ free
+    driven = [topology.link_of_freedom[k] for k in topology.drives]
+    ends = zip(topology.parents, topology.children)
+    pairs = [tuple(-1 if node == BASE else topology.link_of(node) for node in pair) for pair in ends]
+    found = {}
+    for l in range(n):
+        joined = [a if b == l else b for a, b in pairs if l in (a, b)]
+        if len(joined) < 2 or max(joined) < 0 or l in driven:
+            continue
+        alone = null_space(np.delete(moving, l, axis=0).reshape(-1, free.shape[1]))
+        if alone.shape[1] == 0:
+            continue
+        size, directions = np.linalg.svd(moving[l] @ alone)[1:]
+        motions = free @ alone @ directions[: int(np.sum(size > IDLE_TOLERANCE))].T
+        # As many coordinates of the link's own joint as it has idle freedoms, those that move most.
+        from scipy.linalg import qr  # few mechanisms need it, and it takes a tenth of a second
+
+        *_, order = qr(motions[list(topology.coordinates[l])].T, mode="r", pivoting=True)
+        found |= {topology.coordinates[l][k]: topology.links[l] for k in order[: motions.shape[1]]}
+    return found
+
+
+def _with_dependent_drives(model: Model, joints: Float[np.ndarray, " numbers"]) -> Topology:
+    """The topology with the coordinates of drives that follow from those of the drives before (theory (5.8))."""
+    geometry = geometry_of(model)
+    placed, freedoms = place(geometry, joints), model.topology.n_freedoms
+    sprung = np.eye(freedoms)[list(model.topology.sprung_coordinates)]
+    rigid = np.vstack([closure_jacobian(geometry, placed)[:, :freedoms], sprung])
+    found = []
+    for matrix in (rigid, closure_jacobian(geometry, placed, rigid=False)):
+        unit, kept, following = np.eye(matrix.shape[1]), [], []
+        for k in model.topology.drives:
+            adds = rank(np.vstack([matrix, unit[[*kept, k]]])) > rank(np.vstack([matrix, unit[kept]]))
+            (kept if adds or not kept else following).append(k)
+        found.append(tuple(following))
+    return model.topology._replace(dependent=found[0], blocked=found[1])
+
+
+def _stretching(model: Model, placed: Placed, law: PointLaw, twists: np.ndarray) -> np.ndarray:
+    """Change (1, F) of the distance of two points over the longest link by motions of the joints, from the twists
+    (L, 6, F) of rigid links."""
+    geometry = geometry_of(model)
+    one, other = _places(geometry, placed, law)
+    direction = (other - one) / np.linalg.norm(other - one)
+    found = np.zeros((1, twists.shape[2]))
+    for end, sign in ((law.parent, -1.0), (law.child, 1.0)):
+        if end.node != BASE:
+            of_link = twists[model.topology.link_of(end.node)]
+            arm = np.cross(other / geometry.scale, direction)  # of a force along the line, about the origin
+            found += sign * (arm @ of_link[:3] + direction @ of_link[3:])
+    return found
+
+
+def close_at(
+    model: Model, joints: Float[np.ndarray, " numbers"], held: tuple[int, ...] | None = None
+) -> tuple[
+    Float[np.ndarray, " numbers"],
+    Float[np.ndarray, " constraints"],
+    Float[np.ndarray, " cuts"],
+    Float[np.ndarray, " cuts"],
+]:
+    """Refine the position of all joints so that the nominal rigid loops close: Newton's method with steps of least
+    norm (theory (5.10)).
+
+    **Arguments:** `held`: the joint coordinates that stay (None: those of drives that assembly holds).
+
+    **Returns:** position, residuals (constraints,) over the longest link, alignment and angle of each
+    cut joint as in `cut_joints.Closure`.
+    """
+    topology, geometry = model.topology, geometry_of(model)
+    fixed = {*(topology.held if held is None else held), *topology.sprung_coordinates}
+    free = np.array([k for k in range(topology.n_freedoms) if k not in fixed], dtype=int)
+    units = joint_units(geometry)[free]
+    joints, change = np.array(joints, dtype=float), np.zeros(topology.n_freedoms)
+    for _ in range(100):
+        placed = place(geometry, joints)
+        jacobian = closure_jacobian(geometry, placed)[:, free]
+        step = shortest(jacobian, gaps(geometry, placed).residual, SMALLEST_CHANGE)
+        largest = np.abs(step).max(initial=0.0)
+        change[free] = -units * step * min(1.0, 0.5 / max(largest, 1e-300))
+        joints = moved(topology, joints, change)
+        if largest < 1e-14:
+            break
+    residual, alignment, cut_angles = gaps(geometry, place(geometry, joints))
+    return joints, residual, alignment, cut_angles
+
+
+def _close(model: Model) -> Model:
+    """Close the nominal rigid loops at the start, or say why they cannot close."""
+    topology = model.topology
+    if topology.n_cuts == 0:
+        return model
+    if len(topology.drives) > 1:
+        closed = close_at(model, np.asarray(model.start_joints), topology.drives[:1])[0]
+        topology = _with_dependent_drives(model, closed)
+        model = dataclasses.replace(model, topology=topology)
+    joints, residual, alignment, cut_angles = close_at(model, np.asarray(model.start_joints))
+    if not np.abs(residual).max() < CLOSING_TOLERANCE:
+        gap = np.abs(residual).max() * float(np.max(model.length))
+        row = int(np.abs(residual).argmax())
+        worst = next(topology.joints[j] for j, rows in zip(topology.cuts, topology.constraints) if row in rows)
+        raise InputError(
+            f"Argument `mechanism` must close at its start, but joint {worst!r} stays open by "
+            f"{gap:.3g} m with every link rigid; check lengths, positions and start angles (all "
+            "but the driven one are refined)."
+        )
+    if (alignment < 0.0).any():
+        worst = topology.n_links + int(alignment.argmin())
+        axes = "hinge axes" if topology.kinds[worst] == "revolute" else f"frames ({topology.kinds[worst]})"
+        raise InputError(
+            f"Argument `mechanism` must close with both {axes} of joint {topology.joints[worst]!r} alike, but "
+            "they point in opposite directions; turn the frame of its child by 180 deg."
+        )
+    start, angles = (jnp.asarray(values, jnp.float64) for values in (joints, cut_angles))
+    return dataclasses.replace(model, start_joints=start, cut_angles=angles)

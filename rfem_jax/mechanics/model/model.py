@@ -1,0 +1,456 @@
+"""The discretised mechanism: `Model`, its static `Topology`, and the state's coordinates.
+
+Place in the pipeline: building makes it -> **model** -> with_errors -> kinematics.
+
+A *node* is a rigid body: -1 is the base, 0 .. links-1 are the rfes 0 (one a link, whose frame is the
+link frame {p,0}), and links + k is the free rfe k.  All free rfes of all links stand in one array
+axis, link by link, so that one operation treats them together.
+
+An *interface* of a link is a free rfe that carries a joint, or that a force element acts on.  Since springs, not
+constraints, join the rfes of a flexible link, the rfes 0 and the interfaces form *islands*: trees of bodies joined by
+hinges alone, whose root is an interface or a link that is joined to the base.
+
+Symbols: n_links L, n_rfes N (free rfes), joints J = L tree joints (joint l carries link l), then C cut
+joints; freedoms F: coordinates of the tree joints; constraints: closure equations of the cut joints.  Arrays are
+components first (see `algebra`).
+"""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.core import Tracer
+from jaxtyping import Float, Int
+
+from rfem_jax.compilation.naming import Names
+from rfem_jax.description.driven_motions import motion_label
+from rfem_jax.description.errors import InputError
+from rfem_jax.description.joint_kinds import COMPONENTS, KINDS, Freedom, JointKind, compliant
+from rfem_jax.mechanics.laws.bearings import BearingCapacity
+from rfem_jax.mechanics.laws.frame_forces import FrameForce
+from rfem_jax.mechanics.laws.friction_laws import Friction
+from rfem_jax.mechanics.laws.joint_laws import JointLaw
+from rfem_jax.mechanics.laws.joint_springs import CompliantSpring
+from rfem_jax.mechanics.model.sources import Source
+from rfem_jax.mechanics.model.summary import model_text
+
+BASE = -1
+
+
+class Coordinates(eqx.Module):
+    """Coordinates of the tree joints [rad, m], joint by joint in the order of their links and of each kind's
+    freedoms (positions of spherical and free joints: quaternions, see `orientations`), and the six coordinates (x, y,
+    z, phi_x, phi_y, phi_z) [m, rad] of every free rfe relative to its link frame, with R = R_z R_y R_x (exact
+    elements: R_y R_z R_x); also used for their rates and accelerations."""
+
+    joints: Float[Array, " numbers"]
+    elastic: Float[Array, "6 rfes"]
+
+
+class State(eqx.Module):
+    """Where the mechanism is now: coordinates and their rates."""
+
+    position: Coordinates
+    velocity: Coordinates
+
+
+class Topology(NamedTuple):
+    """What is connected to what; hashable, the static part of a model.
+
+    links: names of the links, by their depth in the tree, else in the order of the description.
+    joints: names of the joints, the tree joints in the order of their links, then the cut joints.
+    joint_order: names of the joints in the order of the description.
+    error_names: names of all assembly errors, such as "D.delta_x", "C.child.d_y" or "coupler.length".
+    kinds: the kind of each joint, a name in `joint_kinds.KINDS`.
+    parents, children: the node on each joint's parent and child side.
+    parent_at_end, child_at_end: whether a joint sits at the far end of the link on that side, whose twist
+        error then rotates it.
+    elements: number of rfes of each link (1: rigid).
+    drives: joint coordinates that drives act on, in the order of the description.
+    masses: the node that holds each point mass.
+    minimum_norm: whether redundant reactions are resolved by the solution of least norm.
+    exact: whether the spring-damping elements are geometrically exact.
+    idle: joint coordinates that stand for idle freedoms, which statics holds at their start.
+    dependent: those of `drives` that follow from the ones before if all links are rigid, which statics holds only
+        where their motion is prescribed; blocked: those that follow from them even so.
+    holders: nodes of the free rfes that force elements act on.
+    sprung: of each joint the motions that its kind holds and that are sprung; () if no joint is compliant.
+    clearances: joints with a clearance, whose motions are all sprung: by contacts, which are force elements.
+    undriven: joint coordinates that stand for the freedoms that no drive holds (theory (6.9)).
+    settles: whether a simulation starts in the equilibrium of these freedoms, and does not hold them at first.
+    rated: joint coordinates with initial rates, in the array `Model.start_rates`.
+    redundant: number of the closure equations that say nothing new at the start.
+    massless: links without mass, which can only be at rest.
+    """
+
+    links: tuple[str, ...]
+    joints: tuple[str, ...]
+    joint_order: tuple[str, ...]
+    error_names: tuple[str, ...]
+    kinds: tuple[str, ...]
+    parents: tuple[int, ...]
+    children: tuple[int, ...]
+    parent_at_end: tuple[bool, ...]
+    child_at_end: tuple[bool, ...]
+    elements: tuple[int, ...]
+    drives: tuple[int, ...]
+    masses: tuple[int, ...]
+    minimum_norm: bool
+    exact: bool = False
+    idle: tuple[int, ...] = ()
+    dependent: tuple[int, ...] = ()
+    blocked: tuple[int, ...] = ()
+    holders: tuple[int, ...] = ()
+    sprung: tuple[tuple[str, ...], ...] = ()
+    clearances: tuple[int, ...] = ()
+    undriven: tuple[int, ...] = ()
+    settles: bool = False
+    rated: tuple[int, ...] = ()
+    redundant: int = 0
+    massless: tuple[int, ...] = ()
+
+    def renamed(self, names: Names) -> "Topology":
+        """With other names."""
+        texts = ("links", "joints", "joint_order", "error_names")
+        return self._replace(**{text: tuple(map(names.of, getattr(self, text))) for text in texts})
+
+    @property
+    def n_links(self) -> int:
+        """Number of links L, and of tree joints."""
+        return len(self.links)
+
+    @property
+    def n_cuts(self) -> int:
+        """Number of cut joints C."""
+        return len(self.joints) - len(self.links)
+
+    @property
+    def n_rfes(self) -> int:
+        """Number of free rfes N."""
+        return sum(n - 1 for n in self.elements)
+
+    def kind(self, joint: int) -> JointKind:
+        """The kind of a joint, by its index; of a compliant joint with its sprung directions as free motions."""
+        kind = KINDS[self.kinds[joint]]
+        return compliant(kind, self.sprung[joint]) if self.sprung else kind
+
+    @property
+    def own_coordinates(self) -> tuple[tuple[int, ...], ...]:
+        """Indices of the rates of every tree joint that are no springs, in the order of its nominal kind."""
+        return tuple(tuple(at[n] for n in self.kind(l).own) for l, at in enumerate(self.coordinates))
+
+    @property
+    def own_positions(self) -> tuple[tuple[int, ...], ...]:
+        """Indices in the position of the plain numbers of every tree joint that are no springs, likewise."""
+        plain = (tuple(n for n in self.kind(l).own if n < self.plain(l)) for l in range(self.n_links))
+        return tuple(tuple(at[n] for n in own) for own, at in zip(plain, self.positions))
+
+    @property
+    def sprung_coordinates(self) -> tuple[int, ...]:
+        """Indices of the rates of the tree joints that are sprung directions of compliant joints."""
+        own = {k for at in self.own_coordinates for k in at}
+        return tuple(k for k in range(self.n_freedoms) if k not in own) if self.sprung else ()
+
+    def tilted(self, coordinate: int) -> tuple[int, int] | None:
+        """Of the angle of a tree joint that turns about one axis and whose tilt is sprung: the place in the position of
+        the first angle of the tilt, and the rate of the second; None of other coordinates."""
+        link = self.link_of_freedom[coordinate]
+        kind = self.kind(link)
+        if kind.ball or kind.nominal.angles != 1 or kind.angles != 3 or coordinate != self.coordinates[link].stop - 3:
+            return None
+        return self.positions[link].stop - 2, coordinate + 2
+
+    @property
+    def sprung_rows(self) -> tuple[bool, ...]:
+        """Which closure equations of the cut joints are laws of springs; () if none is."""
+        rows = [self._sprung_rows(j) for j in self.cuts] if self.sprung else []
+        return tuple(row for joint in rows for row in joint) if any(any(joint) for joint in rows) else ()
+
+    def _sprung_rows(self, cut: int) -> list[bool]:
+        """Which closure equations of one cut joint are laws of springs."""
+        kind = self.kind(cut)
+        tilts = any(motion[0] == "R" for motion in self.sprung[cut])
+        across = kind.nominal.across
+        return [axis not in kind.across for axis in across] + [tilts] * len(kind.nominal.perpendicular)
+
+    @property
+    def freedoms(self) -> tuple[Freedom, ...]:
+        """The coordinates of the tree joints."""
+        return tuple(freedom for l in range(self.n_links) for freedom in self.kind(l).freedoms)
+
+    @property
+    def n_freedoms(self) -> int:
+        """Number of coordinates of the tree joints, F."""
+        return len(self.freedoms)
+
+    @property
+    def slides(self) -> tuple[bool, ...]:
+        """Which coordinates of the tree joints are displacements."""
+        return tuple(not freedom.rotation for freedom in self.freedoms)
+
+    @property
+    def link_of_freedom(self) -> tuple[int, ...]:
+        """Link whose joint has each coordinate."""
+        return tuple(l for l in range(self.n_links) for _ in self.kind(l).freedoms)
+
+    @property
+    def coordinates(self) -> tuple[range, ...]:
+        """Indices of the rates of every tree joint, one a coordinate."""
+        return _ranges([len(self.kind(l).freedoms) for l in range(self.n_links)])
+
+    @property
+    def balls(self) -> bool:
+        """Whether any tree joint turns about any axis, and has a quaternion as its position."""
+        return any(self.kind(l).ball for l in range(self.n_links))
+
+    def plain(self, link: int) -> int:
+        """Number of the coordinates of a tree joint that are plain numbers, first of its position."""
+        kind = self.kind(link)
+        return len(kind.freedoms) - 3 * kind.ball
+
+    @property
+    def positions(self) -> tuple[range, ...]:
+        """Indices in the position of the numbers of every tree joint: its plain coordinates, then four of a
+        quaternion if it turns about any axis."""
+        return _ranges([len(self.kind(l).freedoms) + self.kind(l).ball for l in range(self.n_links)])
+
+    def place_of(self, coordinate: int) -> int:
+        """Index in the position of a coordinate that is a plain number."""
+        link = self.link_of_freedom[coordinate]
+        return self.positions[link][coordinate - self.coordinates[link][0]]
+
+    def motion_of(self, coordinate: int) -> str:
+        """Name of the free motion of a coordinate that is a plain number, such as "R_y"."""
+        link = self.link_of_freedom[coordinate]
+        return self.kind(link).motions[coordinate - self.coordinates[link][0]]
+
+    def about_hinge(self, coordinate: int) -> bool:
+        """Whether a coordinate is the angle of a revolute joint."""
+        return self.kinds[self.link_of_freedom[coordinate]] == "revolute"
+
+    @property
+    def drive_labels(self) -> tuple[str, ...]:
+        """Names of the free motions that drives act on: "A", or "C.T_y" where the joint has several."""
+        joints = [self.link_of_freedom[k] for k in self.drives]
+        named = zip(joints, self.drives, strict=True)
+        return tuple(motion_label(self.joints[j], self.kinds[j], self.motion_of(k)) for j, k in named)
+
+    @property
+    def held(self) -> tuple[int, ...]:
+        """Joint coordinates that assembly holds: those of drives, each as far as those before leave it free."""
+        return tuple(k for k in self.drives if k not in self.dependent)
+
+    @property
+    def held_at_start(self) -> tuple[int, ...]:
+        """Joint coordinates that the start of a simulation holds: those of drives and, unless it settles, of all
+        further freedoms."""
+        return self.held if self.settles else (*self.held, *self.undriven)
+
+    def label_of(self, coordinate: int) -> str:
+        """Name of a coordinate for people: "A", "C.T_y" of a joint with several, "S.R_x" of one about any axis."""
+        joint = self.link_of_freedom[coordinate]
+        freedom = self.freedoms[coordinate]
+        motion = f"{'TR'[freedom.rotation]}_{'xyz'[freedom.axis]}"
+        return (
+            motion_label(self.joints[joint], self.kinds[joint], motion)
+            if not freedom.any_axis
+            else (f"{self.joints[joint]}.{motion}")
+        )
+
+    @property
+    def driven(self) -> int | None:
+        """Index of the tree joint of the first drive, or None."""
+        return self.link_of_freedom[self.drives[0]] if self.drives else None
+
+    @property
+    def driven_position(self) -> int | None:
+        """Index in the position of the coordinate of the first drive."""
+        return self.place_of(self.drives[0]) if self.drives else None
+
+    @property
+    def driven_coordinate(self) -> int | None:
+        """Index among the rates of the coordinate of the first drive."""
+        return self.drives[0] if self.drives else None
+
+    @property
+    def constraints(self) -> tuple[range, ...]:
+        """Indices of the closure equations of every cut joint, laws of springs among them."""
+        return _ranges([self.kind(j).nominal.constraints for j in self.cuts])
+
+    @property
+    def n_constraints(self) -> int:
+        """Number of closure equations."""
+        return sum(len(rows) for rows in self.constraints)
+
+    @property
+    def error_components(self) -> tuple[str, ...]:
+        """Errors of one side of a joint that any joint may have, on either side."""
+        sides = [self.kind(j).errors(child) for j in range(len(self.joints)) for child in (False, True)]
+        known = {name for side in sides for name in side} | {"delta_x", "delta_z", "d_x", "d_y", "d_z"}
+        return tuple(name for name in (*COMPONENTS[:1], *COMPONENTS[2:], COMPONENTS[1]) if name in known)
+
+    @property
+    def cuts(self) -> range:
+        """Indices of the cut joints."""
+        return range(self.n_links, len(self.joints))
+
+    @property
+    def ranges(self) -> tuple[tuple[int, int], ...]:
+        """First and past-the-last free rfe of every link."""
+        stops = np.cumsum([n - 1 for n in self.elements])
+        return tuple((int(b) - n + 1, int(b)) for b, n in zip(stops, self.elements))
+
+    @property
+    def link_of_rfe(self) -> Int[np.ndarray, " rfes"]:
+        """Link of every free rfe."""
+        return np.repeat(np.arange(self.n_links), [n - 1 for n in self.elements])
+
+    @property
+    def interfaces(self) -> tuple[int, ...]:
+        """The free rfes that carry a joint or hold a force element (as rfes, not as nodes)."""
+        nodes = self.parents + self.children[self.n_links :] + self.holders
+        return tuple(sorted({node - self.n_links for node in nodes if node >= self.n_links}))
+
+    def link_of(self, node: int) -> int:
+        """Link that a node belongs to."""
+        return node if node < self.n_links else int(self.link_of_rfe[node - self.n_links])
+
+    def island_of(self, node: int) -> int:
+        """The root of a node's island: an interface, or the link that is joined to the base."""
+        while node < self.n_links and self.parents[node] != BASE:
+            node = self.parents[node]
+        return node
+
+    def joint(self, name: str) -> int:
+        """Index of a joint by its name."""
+        if name not in self.joints:
+            raise InputError(f"Argument `joint` must be one of {self.joints}, but is {name!r}.")
+        return self.joints.index(name)
+
+
+def _ranges(counts: Sequence[int]) -> tuple[range, ...]:
+    """Consecutive ranges of given lengths."""
+    stops = np.cumsum([0, *counts]).tolist()
+    return tuple(range(a, b) for a, b in pairwise(stops))
+
+
+class Sections(eqx.Module):
+    """Properties of the links' cross-sections, per unit length.
+
+    stiffness: EA, GA_y, GA_z [N], GJ, EI_y, EI_z [N m^2], in the order of a sde's deflections (du, dphi).
+    line_density: rho A [kg/m].
+    rotary: rho I_x, rho I_y, rho I_z [kg m].
+    damping: time constant eta of the stiffness-proportional damping [s].
+    edges: of each link the stresses at points of its section's edge per unit of axial force [1/m^2], of bending moment
+        about y and z, and of torque [1/m^3]; None where the edge is not known.
+    """
+
+    stiffness: Float[Array, "6 links"]
+    line_density: Float[Array, " links"]
+    rotary: Float[Array, "3 links"]
+    damping: Float[Array, " links"]
+    edges: tuple[Float[Array, "4 points"] | None, ...] = ()
+
+    @property
+    def bending(self) -> Float[Array, " links"]:
+        """EI_y, for bending in the plane of motion [N m^2]."""
+        return self.stiffness[4]
+
+
+class Model(eqx.Module):
+    """The nominal, discretised mechanism (SI units).
+
+    length: of the links [m]; section: of their cross-sections; parent_*, child_*: frames of the joints on
+    their two sides (F and F_c), relative to the node's frame, which is the link frame for rfe 0 and the frame
+    at the segment's middle for a free rfe; point_*: mass [kg], place in the node's frame [m] and principal
+    moments of inertia [kg m^2] of the point masses and of the links that are bodies; point_products: their J_xy, J_xz,
+    J_yz [kg m^2], None where all are zero; start_joints: coordinates of the tree joints at the closed start [rad, m];
+    cut_angles: angles of the cut joints there [rad]; gravity [m/s^2] in global axes; forces: along joint coordinates,
+    by their names, None without any; start_rates: initial rates of all coordinates of the tree joints [rad/s, m/s], of
+    which those of `Topology.rated` count, likewise; frame_forces: elements between frames on nodes, likewise; springs:
+    of compliant joints, by the names of joint and direction as "A.radial", likewise; bearings: what they carry, by
+    joint, likewise; reaction_length [m]: over which moments count in the norm of reactions, None unless the least are
+    asked for.
+
+    Numbers of the description change by a `rfem_jax.design`, from which all arrays follow.  `equinox.tree_at` may
+    replace what is no number of a description and leaves the geometry as it is, such as the stiffnesses of one link of
+    several that share a section; a design knows nothing of that.  source: the numbers that the arrays were made of,
+    None of a model that only programs see.
+    """
+
+    topology: Topology = eqx.field(static=True)
+    length: Float[Array, " links"]
+    section: Sections
+    parent_rotation: Float[Array, "3 3 joints"]
+    parent_position: Float[Array, "3 joints"]
+    child_rotation: Float[Array, "3 3 joints"]
+    child_position: Float[Array, "3 joints"]
+    point_mass: Float[Array, " masses"]
+    point_position: Float[Array, "3 masses"]
+    point_inertia: Float[Array, "3 masses"]
+    start_joints: Float[Array, " numbers"]
+    cut_angles: Float[Array, " cuts"]
+    gravity: Float[Array, "3"]
+    forces: dict[str, JointLaw] | None = None
+    point_products: Float[Array, "3 masses"] | None = None
+    frame_forces: dict[str, FrameForce] | None = None
+    friction: dict[str, Friction] | None = None
+    springs: dict[str, CompliantSpring] | None = None
+    source: Source | None = None
+    bearings: dict[str, BearingCapacity] | None = None
+    start_rates: Float[Array, " freedoms"] | None = None
+    reaction_length: Float[Array, ""] | None = None
+
+    @property
+    def own_names(self) -> tuple[str, ...]:
+        """Names of all its things, which are no part of programs (`compilation.naming`)."""
+        forces = (name for part in (self.forces, self.friction, self.frame_forces) for name in part or {})
+        others = () if self.source is None else self.source.own_names
+        return (*self.topology.joints, *self.topology.links, *(one.partition(".")[0] for one in forces), *others)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """All joints in the order of the description."""
+        return self.topology.joint_order
+
+    @property
+    def link_names(self) -> tuple[str, ...]:
+        """All links, parents before children."""
+        return self.topology.links
+
+    @property
+    def driven_joint(self) -> str | None:
+        """Name of the joint that the first drive acts on."""
+        driven = self.topology.driven
+        return None if driven is None else self.topology.joints[driven]
+
+    def __str__(self) -> str:
+        return model_text(self)
+
+    __repr__ = __str__
+
+    def start_coordinates(self) -> Coordinates:
+        """Nominal start: closed geometry, undeformed links."""
+        elastic = jnp.zeros((6, self.topology.n_rfes))
+        return Coordinates(self.start_joints, elastic)
+
+
+def length_scale(model: Model) -> Float[Array, ""]:
+    """The longest nominal link [m]: a scale, on which no result depends."""
+    if not isinstance(model.length, Tracer):
+        return jnp.asarray(np.max(np.asarray(model.length)), jnp.float64)
+    return jax.lax.stop_gradient(jnp.max(model.length))
+
+
+def rfe_fractions(elements: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Lengths and middles of a link's rfes as fractions of its length (secondary division)."""
+    if elements == 1:
+        return np.ones(1), np.full(1, 0.5)
+    m = elements - 1
+    edges = np.concatenate([[0.0], (np.arange(m) + 0.5) / m, [1.0]])
+    return np.diff(edges), 0.5 * (edges[1:] + edges[:-1])

@@ -1,0 +1,293 @@
+"""The perfect, undeformed mechanism in NumPy: where its bodies are, how far its loops are open.
+
+Place in the pipeline: model -> **nominal_geometry** -> discretisation, the check of the step.
+
+The questions before a simulation (does it close, what is its rank, which step is stable) concern rigid
+geometry and a few numbers, so they are answered on the host, and nothing of it is traced or compiled.
+
+Symbols: twists (angular, linear) at the global origin, in global axes; n_links L, nodes n, cut joints C.  Where shapes
+have "*t", many positions are placed at once.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from rfem_jax.description.joint_kinds import JointKind
+from rfem_jax.mechanics.model.model import BASE, Model, Topology, rfe_fractions
+
+SMALLEST_SINGULAR_VALUE = 1e-6  # of rows with lengths over the longest link: what is below says nothing
+
+
+class NominalGeometry(NamedTuple):
+    """Constants of the perfect mechanism: frames of all joints (J, 3, 3), (J, 3) in the nodes of their parents
+    and children; rest (N,) [m]: x of the free rfes' middles in their links; scale [m]: the longest link."""
+
+    topology: Topology
+    seat_rotation: Float[np.ndarray, "joints 3 3"]
+    seat_position: Float[np.ndarray, "joints 3"]
+    bore_rotation: Float[np.ndarray, "joints 3 3"]
+    bore_position: Float[np.ndarray, "joints 3"]
+    rest: Float[np.ndarray, " rfes"]
+    scale: float
+
+
+class Placed(NamedTuple):
+    """The mechanism at given joint coordinates: rotation (L, 3, 3) and origin (L, 3) of the links; of all joints the
+    joint frame G on the parent (J, 3, 3), without the joint's motion, and its centre (J, 3), and the frame on the
+    child and its centre, likewise; twists (F, 6) of unit rates of the tree joints' coordinates."""
+
+    rotation: Float[np.ndarray, "*t links 3 3"]
+    origin: Float[np.ndarray, "*t links 3"]
+    joint_rotation: Float[np.ndarray, "*t joints 3 3"]
+    centre: Float[np.ndarray, "*t joints 3"]
+    child_rotation: Float[np.ndarray, "*t joints 3 3"]
+    child_centre: Float[np.ndarray, "*t joints 3"]
+    twists: Float[np.ndarray, "*t freedoms 6"]
+
+
+class Gaps(NamedTuple):
+    """How far the loops are open: residual, lengths over the longest link, alignment (C,) and angle (C,) [rad] as in
+    `cut_joints.Closure`."""
+
+    residual: Float[np.ndarray, "*t constraints"]
+    alignment: Float[np.ndarray, "*t cuts"]
+    angle: Float[np.ndarray, "*t cuts"]
+
+
+def geometry_of(model: Model) -> NominalGeometry:
+    """The constants of a model, whose numbers must not be traced."""
+    topology = model.topology
+    middles = [rfe_fractions(n)[1][1:] for n in topology.elements]
+    length = np.asarray(model.length)
+    return NominalGeometry(
+        topology=topology,
+        seat_rotation=np.moveaxis(np.asarray(model.parent_rotation), 2, 0),
+        seat_position=np.asarray(model.parent_position).T,
+        bore_rotation=np.moveaxis(np.asarray(model.child_rotation), 2, 0),
+        bore_position=np.asarray(model.child_position).T,
+        rest=np.concatenate([x * part for x, part in zip(middles, length)]),
+        scale=float(length.max()),
+    )
+
+
+def place(geometry: NominalGeometry, coordinates: Float[np.ndarray, "*t numbers"]) -> Placed:
+    """Links and joints at the position of the tree joints (as `Coordinates.joints`), links undeformed."""
+    topology, batch = geometry.topology, coordinates.shape[:-1]
+    n, joints = topology.n_links, len(topology.joints)
+    rotation, origin = np.empty((*batch, n, 3, 3)), np.empty((*batch, n, 3))
+    joint_rotation, centre = np.empty((*batch, joints, 3, 3)), np.empty((*batch, joints, 3))
+    child_rotation, child_centre = np.empty((*batch, joints, 3, 3)), np.empty((*batch, joints, 3))
+    twists = np.zeros((*batch, topology.n_freedoms, 6))
+
+    def frame(node: int) -> tuple[np.ndarray, np.ndarray]:
+        if node == BASE:
+            return np.eye(3), np.zeros(3)
+        link = topology.link_of(node)
+        x = geometry.rest[node - n] if node >= n else 0.0
+        return rotation[..., link, :, :], origin[..., link, :] + rotation[..., link, :, 0] * x
+
+    for j in range(joints):
+        parent_rotation, parent_point = frame(topology.parents[j])
+        joint_rotation[..., j, :, :] = parent_rotation @ geometry.seat_rotation[j]
+        centre[..., j, :] = parent_point + parent_rotation @ geometry.seat_position[j]
+        if j >= n:
+            continue
+        turned, point = joint_rotation[..., j, :, :].copy(), centre[..., j, :].copy()
+        at, basis = topology.positions[j], turned
+        for m, (k, freedom) in enumerate(zip(topology.coordinates[j], topology.kind(j).freedoms)):
+            if freedom.first:
+                basis = turned
+            direction = basis[..., freedom.axis]
+            if not freedom.rotation:
+                twists[..., k, 3:] = direction
+                point = point + coordinates[..., at[m], None] * direction
+                continue
+            twists[..., k, :] = np.concatenate([direction, np.cross(point, direction)], axis=-1)
+            if freedom.any_axis and freedom.first:
+                turned = basis @ _rotation_of(coordinates[..., at[m] : at[m] + 4])
+            elif not freedom.any_axis:
+                turned = turned @ _rotation_about(freedom.axis, coordinates[..., at[m]])
+        child_rotation[..., j, :, :], child_centre[..., j, :] = turned, point
+        rotation[..., j, :, :] = turned @ geometry.bore_rotation[j].T
+        origin[..., j, :] = point - rotation[..., j, :, :] @ geometry.bore_position[j]
+    for j in topology.cuts:
+        node_rotation, point = frame(topology.children[j])
+        child_rotation[..., j, :, :] = node_rotation @ geometry.bore_rotation[j]
+        child_centre[..., j, :] = point + node_rotation @ geometry.bore_position[j]
+    return Placed(rotation, origin, joint_rotation, centre, child_rotation, child_centre, twists)
+
+
+def _rotation_about(axis: int, angle: Float[np.ndarray, "*t"]) -> Float[np.ndarray, "*t 3 3"]:
+    c, s = np.cos(angle), np.sin(angle)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    matrix = np.zeros((*np.shape(angle), 3, 3))
+    matrix[..., axis, axis] = 1.0
+    matrix[..., i, i] = matrix[..., j, j] = c
+    matrix[..., i, j], matrix[..., j, i] = -s, s
+    return matrix
+
+
+def _rotation_of(q: Float[np.ndarray, "*t 4"]) -> Float[np.ndarray, "*t 3 3"]:
+    """Rotation of a quaternion."""
+    skew = cross_matrix(q[..., 1:])
+    size = np.sum(q * q, axis=-1)[..., None, None]
+    return np.eye(3) + 2.0 / size * (q[..., :1, None] * skew + skew @ skew)
+
+
+def moved(
+    topology: Topology, position: Float[np.ndarray, "*t numbers"], change: Float[np.ndarray, "*t freedoms"]
+) -> Float[np.ndarray, "*t numbers"]:
+    """`orientations.moved` of the joints."""
+    found = np.array(position, dtype=float)
+    for l, (at, rates) in enumerate(zip(topology.positions, topology.coordinates, strict=True)):
+        n = topology.plain(l)
+        found[..., at.start : at.start + n] += change[..., rates.start : rates.start + n]
+        if topology.kind(l).ball:
+            theta, q = change[..., rates.start + n : rates.stop], found[..., at.start + n : at.stop]
+            half = 0.5 * np.linalg.norm(theta, axis=-1, keepdims=True)
+            w, v = np.cos(half), 0.5 * np.sinc(half / np.pi) * theta
+            scalar, vector = q[..., :1], q[..., 1:]
+            first = w * scalar - np.sum(v * vector, axis=-1, keepdims=True)
+            turned = np.concatenate([first, w * vector + scalar * v + np.cross(v, vector)], axis=-1)
+            found[..., at.start + n : at.stop] = turned / np.linalg.norm(turned, axis=-1, keepdims=True)
+    return found
+
+
+def gaps(geometry: NominalGeometry, placed: Placed) -> Gaps:
+    """The equations of all cut joints (`cut_joints`, theory (5.1), (5.14), (5.15)), of the kinds without springs."""
+    topology, n = geometry.topology, geometry.topology.n_links
+    batch = placed.centre.shape[:-2]
+    residual, alignment = [np.zeros((*batch, 0))], np.zeros((*batch, topology.n_cuts))
+    for i, joint in enumerate(topology.cuts):
+        kind = topology.kind(joint).nominal
+        left, right = placed.joint_rotation[..., joint, :, :], placed.child_rotation[..., joint, :, :]
+        apart = (placed.child_centre[..., joint, :] - placed.centre[..., joint, :]) / geometry.scale
+        products = np.einsum("...ki,...kj->...ij", left, right)
+        residual.append(apart if kind.coincident else np.einsum("...ki,...k->...i", left[..., kind.across], apart))
+        residual += [products[..., i, j, None] for i, j in kind.perpendicular]
+        alignment[..., i] = _alignment(kind, products)
+    x = np.einsum("...cij,...ci->...cj", placed.joint_rotation[..., n:, :, :], placed.child_rotation[..., n:, :, 0])
+    return Gaps(np.concatenate(residual, axis=-1), alignment, np.arctan2(-x[..., 2], x[..., 0]))
+
+
+def _alignment(kind: JointKind, products: Float[np.ndarray, "*t 3 3"]) -> Float[np.ndarray, "*t"]:
+    """`cut_joints.Closure.alignment` from the products of the axes of L and P."""
+    if kind.angles == 0:
+        return np.asarray(0.5 * (np.trace(products, axis1=-2, axis2=-1) - 1.0))
+    axis = next(freedom.axis for freedom in kind.freedoms if freedom.rotation)
+    return np.ones(products.shape[:-2]) if kind.angles == 3 else products[..., axis, axis]
+
+
+def closure_rows(geometry: NominalGeometry, placed: Placed, rigid: bool = True) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Derivatives (k, 6) of the k residuals of every cut joint by the twists of L and of P; `rigid`: of the kinds
+    without springs, else without the sprung directions of compliant joints."""
+    topology, pairs = geometry.topology, []
+    for joint in topology.cuts:
+        kind = topology.kind(joint).nominal if rigid else topology.kind(joint)
+        left, right = placed.joint_rotation[joint], placed.child_rotation[joint]
+        forces = np.eye(3) if kind.coincident else left[:, kind.across].T
+        couples = np.array([np.cross(right[:, j], left[:, i]) for i, j in kind.perpendicular]).reshape(-1, 3)
+        centre = placed.child_centre[joint]
+
+        def rows(point, forces=forces, couples=couples):
+            of_centre = np.concatenate([np.cross(point, forces), forces], axis=1)
+            of_axes = np.concatenate([couples, np.zeros_like(couples)], axis=1)
+            return np.concatenate([of_centre / geometry.scale, of_axes])
+
+        pairs.append((-rows(placed.centre[joint] if kind.coincident else centre), rows(centre)))
+    return pairs
+
+
+def node_place(geometry: NominalGeometry, placed: Placed, node: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation (3, 3) and point (3,) of a node in global axes, links undeformed."""
+    if node == BASE:
+        return np.eye(3), np.zeros(3)
+    owner, n = geometry.topology.link_of(node), geometry.topology.n_links
+    rotation = placed.rotation[owner]
+    return rotation, placed.origin[owner] + rotation[:, 0] * (geometry.rest[node - n] if node >= n else 0.0)
+
+
+def cross_matrix(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3 3"]:
+    """Matrices of the vector products v x of vectors v."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    zero = np.zeros_like(x)
+    rows = [np.stack(row, -1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))]
+    return np.stack(rows, -2)
+
+
+def closure_jacobian(
+    geometry: NominalGeometry, placed: Placed, rigid: bool = True
+) -> Float[np.ndarray, "constraints coordinates"]:
+    """Jacobian of the residuals (constraints, F + 6 N), by the joint coordinates (displacements over the longest
+    link), then the free rfes' (x, y, z over the longest link, phi_x, phi_y, phi_z), rfe by rfe; `rigid` as in
+    `closure_rows`."""
+    topology = geometry.topology
+    n, freedoms = topology.n_links, topology.n_freedoms
+    sides = closure_rows(geometry, placed, rigid)
+    jacobian = np.zeros((sum(len(left) for left, _ in sides), freedoms + 6 * topology.n_rfes))
+    units = joint_units(geometry)
+    stop = 0
+    for joint, (left, right) in zip(topology.cuts, sides, strict=True):
+        start, stop = stop, stop + len(left)
+        block = jacobian[start:stop]
+        for node, rows in ((topology.parents[joint], left), (topology.children[joint], right)):
+            while node != BASE:
+                link = topology.link_of(node)
+                if node >= n:
+                    k = freedoms + 6 * (node - n)
+                    block[:, k : k + 6] += rows @ _elastic_twists(geometry, placed, link, node - n)
+                for k in topology.coordinates[link]:
+                    block[:, k] += units[k] * (rows @ placed.twists[k])
+                node = topology.parents[link]
+    return jacobian
+
+
+def rank(matrix: Float[np.ndarray, "m n"]) -> int:
+    """Rank of a matrix whose entries that say something are of size one: what rounding leaves of a matrix that says
+    nothing, as of a door on two hinges in line, is not compared with itself."""
+    return int(np.sum(_singular_values(matrix) > SMALLEST_SINGULAR_VALUE * largest_singular_value(matrix)))
+
+
+def null_space(matrix: Float[np.ndarray, "m n"]) -> Float[np.ndarray, "n k"]:
+    """Orthonormal columns that such a matrix takes to zero."""
+    if 0 in matrix.shape:
+        return np.eye(matrix.shape[1])
+    rows = np.linalg.svd(matrix, full_matrices=matrix.shape[0] < matrix.shape[1])[2]
+    return rows[rank(matrix) :].T
+
+
+def largest_singular_value(matrices: Float[np.ndarray, "*t m n"]) -> Float[np.ndarray, "*t"]:
+    """The largest singular value of such matrices, at least one."""
+    return np.asarray(np.max(_singular_values(matrices), axis=-1, initial=1.0))
+
+
+def _singular_values(matrices: np.ndarray) -> np.ndarray:
+    return np.linalg.svd(matrices, compute_uv=False) if 0 not in matrices.shape else np.zeros((*matrices.shape[:-2], 0))
+
+
+def shortest(
+    matrices: Float[np.ndarray, "*t m n"], values: Float[np.ndarray, "*t m"], smallest: float
+) -> Float[np.ndarray, "*t n"]:
+    """The shortest least-squares solutions of such equations, singular values below a share of the largest left out."""
+    left, singular, right = np.linalg.svd(matrices, full_matrices=False)
+    there = singular > smallest * largest_singular_value(matrices)[..., None]
+    along = np.einsum("...mk,...m->...k", left, values)
+    return np.einsum("...kn,...k->...n", right, np.where(there, along / np.where(there, singular, 1.0), 0.0))
+
+
+def joint_units(geometry: NominalGeometry) -> Float[np.ndarray, " freedoms"]:
+    """1 rad, or the longest link [m], of every joint coordinate."""
+    return np.where(np.array(geometry.topology.slides, dtype=bool), geometry.scale, 1.0)
+
+
+def _elastic_twists(geometry: NominalGeometry, placed: Placed, link: int, rfe: int) -> np.ndarray:
+    """Twists (6, 6) of unit rates of a free rfe's coordinates."""
+    rotation = placed.rotation[link]
+    point = placed.origin[link] + rotation[:, 0] * geometry.rest[rfe]
+    twists = np.zeros((6, 6))
+    twists[3:, :3] = rotation * geometry.scale
+    twists[:3, 3:] = rotation
+    twists[3:, 3:] = cross_matrix(point) @ rotation
+    return twists

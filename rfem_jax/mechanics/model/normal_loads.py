@@ -1,0 +1,75 @@
+"""Whether the loads that friction depends on are unique where reactions are redundant.
+
+Place in the pipeline: nominal_geometry, friction_laws -> **normal_loads** -> discretisation.
+
+Reactions that keep each other in balance, which the equations of motion do not tell, are the null space of the
+transposed Jacobian of the closure equations.  Friction needs that none of them presses its joint: in a planar linkage
+of hinges all are forces along the axes and moments across them, so that friction may depend on the resultant across the
+axis, but not on a bearing's length.
+"""
+
+import numpy as np
+
+from rfem_jax.description.errors import InputError
+from rfem_jax.mechanics.laws.friction_laws import Friction
+from rfem_jax.mechanics.model.model import BASE, Model, Topology
+from rfem_jax.mechanics.model.nominal_geometry import (
+    NominalGeometry,
+    Placed,
+    closure_jacobian,
+    closure_rows,
+    geometry_of,
+    null_space,
+    place,
+)
+
+UNIQUE = 1e-7  # share of a reaction across an axis that counts as none
+
+
+def require_unique_normal_loads(model: Model) -> None:
+    """Raise InputError for friction that depends on a load that is not unique at the start."""
+    loaded = {name: law for name, law in (model.friction or {}).items() if law.load is not None}
+    if not loaded or model.topology.n_cuts == 0:
+        return
+    geometry = geometry_of(model)
+    placed = place(geometry, np.asarray(model.start_joints))
+    for multipliers in null_space(closure_jacobian(geometry, placed, rigid=False).T).T:
+        for name, law in loaded.items():
+            if _pressing(geometry, placed, law, multipliers) > UNIQUE:
+                also = ", leave out `length`" if law.load is not None and law.load.length is not None else ""
+                raise InputError(
+                    f"Argument `coefficient` of force `{name}` must multiply a normal load that is unique, but "
+                    f"reactions in joint `{model.topology.joints[law.joint]}` are redundant; make a link of the loop "
+                    f"flexible{also}, or give the friction as `constant`."
+                )
+
+
+def _pressing(geometry: NominalGeometry, placed: Placed, law: Friction, multipliers: np.ndarray) -> float:
+    """Largest part of redundant reactions that presses a joint, a force over the norm of the reactions."""
+    topology, wrench, stop = geometry.topology, np.zeros(6), 0
+    sides = closure_rows(geometry, placed, rigid=False)
+    for joint, (left, right) in zip(topology.cuts, sides, strict=True):
+        start, stop = stop, stop + len(left)
+        for node, on_side in ((topology.parents[joint], left), (topology.children[joint], right)):
+            if joint == law.joint and node == topology.children[joint]:
+                wrench = wrench + on_side.T @ multipliers[start:stop]
+            if law.coordinate is not None and _is_outboard(topology, node, law.joint):
+                wrench = wrench - on_side.T @ multipliers[start:stop]
+    # Rows of forces are over the scale.
+    force = wrench[3:] * geometry.scale
+    moment = wrench[:3] - np.cross(placed.child_centre[law.joint], wrench[3:])
+    axis = placed.joint_rotation[law.joint][:, law.axis]
+    across = [force - axis * (axis @ force)]
+    if law.load is not None and law.load.length is not None:
+        across.append(np.cross(moment, axis))
+    return max(float(np.linalg.norm(part)) for part in across)
+
+
+def _is_outboard(topology: Topology, node: int, link: int) -> bool:
+    """Whether a node is on a link or outboard of it."""
+    while node != BASE:
+        owner = topology.link_of(node)
+        if owner == link:
+            return True
+        node = topology.parents[owner]
+    return False

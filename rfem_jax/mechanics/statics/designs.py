@@ -1,0 +1,324 @@
+"""Designs: new values for numbers of a description, and the model that follows from them.
+
+Place in the pipeline: model and its source, parameters -> **designs** -> statics, simulation.
+
+A `Design` holds values, `AssemblyErrors.parameters` deviations from them. Of the model's arrays those are made anew,
+by the formulas that made the nominal ones, that depend on a number that is set (theory (14.1)); with a new geometry the
+loops are closed anew (`start_closure`, theory (14.2) to (14.5)). What is on which rigid finite element stays: a joint,
+a mass or a force whose point leaves its rfe is carried by a rigid arm, which is as exact as the division of the link as
+long as it is shorter than half an rfe; a longer one is told by the status.
+
+A design that cannot be is computed with the nominal numbers, so that a batch goes on, and its status says so.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.core import Tracer
+from jaxtyping import ArrayLike, Bool, Float, Int
+
+from rfem_jax.compilation.program import Program
+from rfem_jax.description.drive_numbers import read_drive_number
+from rfem_jax.description.errors import InputError
+from rfem_jax.description.number_fields import ANY, POSITIVE, SIGN_WORDS
+from rfem_jax.description.parameters import Parameter, require_each_once
+from rfem_jax.description.parts import Parts
+from rfem_jax.description.sections import Tube
+from rfem_jax.description.study import Study
+from rfem_jax.mechanics.model.building import PartStructure, arrays_of
+from rfem_jax.mechanics.model.discretisation import discretise
+from rfem_jax.mechanics.model.model import BASE, Model, Topology, rfe_fractions
+from rfem_jax.mechanics.model.sources import NOTHING, Blueprint, Source
+from rfem_jax.mechanics.model.status import DESIGN_OUT_OF_RANGE, NOT_CLOSED, OK, STATUS
+from rfem_jax.mechanics.model.with_errors import AssemblyErrors, require_possible
+from rfem_jax.mechanics.statics.start_closure import close_start
+
+LONGEST_ARM = 0.5  # of a segment between two spring-damping elements
+
+
+class Design(eqx.Module):
+    """New values for some numbers.
+
+    values: of parameters of the model, by their full names, in SI units; drives: of the drives, by names such as
+    "drive.moment".
+    """
+
+    values: dict[str, Float[Array, ""]]
+    drives: dict[str, Float[Array, ""]]
+
+
+@dataclass(frozen=True)
+class NamedValue:
+    """A parameter of a model: its value, its SI unit, and its full name, which is as good as the shorter one."""
+
+    value: float
+    unit: str
+    full: str
+
+
+def parameters(model: Model) -> dict[str, NamedValue]:
+    """All numbers of a model's description that a design may set or a tolerance scatter, by their names.
+
+    **Raises:** `InputError` for a model without a description.
+    """
+    source = source_in(model)
+    numbers = np.asarray(source.numbers).tolist()
+    named = zip(source.blueprint.names.all, numbers, strict=True)
+    return {one.name: NamedValue(value, one.unit, one.full) for one, value in named}
+
+
+def design(model: Model, values: Mapping[str, ArrayLike | str]) -> Design:
+    """New values for numbers of a model's description, and of its drives.
+
+    **Arguments:** `values`: name -> number in SI units, array scalar (traced or not), or a string with a unit; names
+    are those of `parameters(model)`, and of drives "drive.moment", "drive.rate", "drive.force", "drive.speed" or
+    "drive.factor" (of a table), with the driven motion in between, as "drive.A.moment", where there are several.
+
+    **Raises:** `InputError` for unknown names and for values that a description may not have.
+    """
+    names = source_in(model).blueprint.names
+    found, drives, used = {}, {}, []
+    for name, value in values.items():
+        where = f"`{name}` of the design"
+        if name.startswith("drive.") and name not in names:
+            drives[name] = _scalar(value, partial(read_drive_number, name, labels=model.topology.drive_labels), where)
+            continue
+        parameter = names.find(name, "design")
+        used.append(parameter)
+        found[parameter.full] = _scalar(value, parameter.read, where)
+    require_each_once(used, "design")
+    return Design(found, drives)
+
+
+def _scalar(value: Any, read: Any, where: str) -> Float[Array, ""]:
+    """A scalar array; traced values stay as they are."""
+    if isinstance(value, Tracer):
+        if value.shape != ():
+            raise InputError(
+                f"Argument {where} must be a scalar, but has the shape {value.shape}; map over it by vmap."
+            )
+        return value.astype(jnp.float64)
+    return jnp.asarray(read(value, where), jnp.float64)
+
+
+def source_in(model: Model) -> Source:
+    """The numbers that a model was made of; raises InputError if it has none."""
+    if model.source is None:
+        raise InputError(
+            "Argument `model` must have the numbers of its description, but has none; take the model that `discretise` "
+            "returns."
+        )
+    return model.source
+
+
+class Designed(NamedTuple):
+    """A model of a design and deviations, and errors without these; status: OK, or why it cannot be; gap [m]: what the
+    loops stay open by at the start.  Both are None where nothing was set."""
+
+    model: Model
+    errors: AssemblyErrors | None
+    status: Int[Array, ""] | None = None
+    gap: Float[Array, ""] | None = None
+
+
+def designed(model: Model, design: Design | None, errors: AssemblyErrors | None = None) -> Designed:
+    """The model of a design, without a source, and the errors that are left for `apply_errors`.
+
+    **Arguments:** `design`: None or a `Design` of this model; `errors`: whose deviations of parameters are added.
+
+    **Raises:** `InputError` for a design of another model.
+    """
+    values = {} if design is None else design.values
+    deviations = {} if errors is None or errors.parameters is None else errors.parameters
+    left = None if errors is None else replace(errors, parameters=None)
+    bare = replace(model, source=None)
+    if not values and not deviations:
+        if left is not None:
+            require_possible(bare, left)
+        return Designed(bare, left)
+    source = source_in(model)
+    for name in (*values, *deviations):
+        _require_possible(source, source.blueprint.names.find(name, "design"), values, deviations)
+    plan = _plan_of(source.blueprint, model.topology, tuple(sorted({*values, *deviations})))
+    base = bare
+    if plan.products and base.point_products is None:
+        base = replace(base, point_products=jnp.zeros_like(base.point_inertia))
+    changed, status, gap = _made(base, source, values, deviations, plan)
+    leaves, tree = jax.tree.flatten(base)
+    new = iter(changed)
+    leaves = [next(new) if changes else leaf for leaf, changes in zip(leaves, plan.changes, strict=True)]
+    return Designed(jax.tree.unflatten(tree, leaves), left, status, gap)
+
+
+def model_of_study(study: Study) -> Model:
+    """The model of a study's mechanism with the values of its design, from which parameters deviate.
+
+    **Raises:** `InputError` as `discretise`, and for a design that cannot be.
+    """
+    model = discretise(study.mechanism)
+    values = {name: value for name, value in study.design_values.items() if not name.startswith("drive.")}
+    if not values:
+        return model
+    wanted = design(model, values)
+    made = designed(model, wanted)
+    assert made.status is not None and made.gap is not None, "numbers were set"
+    if int(made.status) != OK:
+        raise InputError(
+            f"Argument `design` must be one that can be built, but is not ({STATUS[int(made.status)].message.lower()} "
+            f"gap {float(made.gap):.3g} m); change it."
+        )
+    source = source_in(model)
+    numbers = np.array(source.numbers)
+    for i, one in enumerate(source.blueprint.names.all):
+        numbers[i] = wanted.values.get(one.full, numbers[i])
+    return replace(made.model, source=replace(source, numbers=jnp.asarray(numbers)))
+
+
+def _require_possible(
+    source: Source, parameter: Parameter, values: Mapping[str, Array], deviations: Mapping[str, Array]
+) -> None:
+    """Raise InputError for a parameter that has not the sign that it must have, where it is a concrete number."""
+    if parameter.full not in deviations or parameter.sign == ANY:
+        return
+    nominal = values.get(parameter.full, source.numbers[source.blueprint.names.all.index(parameter)])
+    parts = nominal, deviations[parameter.full]
+    if any(isinstance(part, Tracer) for part in parts):
+        return
+    nominal, deviation = (np.asarray(part) for part in parts)
+    if np.any(nominal + deviation <= 0.0 if parameter.sign == POSITIVE else nominal + deviation < 0.0):
+        raise InputError(
+            f"Argument `errors` must leave `{parameter.name}` {SIGN_WORDS[parameter.sign]}, but its value is "
+            f"{nominal:g} {parameter.unit} and the deviation {deviation:g} {parameter.unit}; give a smaller deviation."
+        )
+
+
+class Plan(NamedTuple):
+    """What changes with some parameters: which leaves of a model, start values of the joints among them; closes:
+    whether loops are to be closed; arms: whether points may leave their rfes; products: whether bodies have products of
+    inertia."""
+
+    changes: tuple[bool, ...]
+    closes: bool
+    arms: bool
+    products: bool
+
+
+@lru_cache(maxsize=256)
+def _plan_of(blueprint: Blueprint, topology: Topology, names: tuple[str, ...]) -> Plan:
+    """What changes with the parameters of full names: what is not a number where these are none."""
+    parts = [name.split(".") for name in names]
+    turned = any(p[0] == "link" and (p[2] == "orientation" or (p[2] == "inertia" and len(p[3]) == 2)) for p in parts)
+    structure = PartStructure(topology, blueprint.points, blueprint.products or turned)
+    # The other numbers are those of a description, since formulas may not be defined for any.
+    described = zip(blueprint.names.all, blueprint.described, strict=True)
+    numbers = [NOTHING if one.full in names else number for one, number in described]
+    with jax.ensure_compile_time_eval(), np.errstate(all="ignore"):
+        model = jax.tree.map(np.asarray, arrays_of(blueprint.filled(numbers), structure))
+    flags = jax.tree.map(lambda x: bool(np.isnan(x).any()), model)
+    frames = flags.length, flags.parent_rotation, flags.parent_position, flags.child_rotation, flags.child_position
+    moved = any(frames) or flags.start_joints
+    closes = moved and topology.n_cuts > 0
+    elements = jax.tree.leaves(flags.frame_forces)
+    flags = replace(flags, start_joints=moved, cut_angles=closes)
+    arms = any(frames) or flags.point_position or any(elements)
+    return Plan(tuple(jax.tree.leaves(flags)), closes, arms, structure.products)
+
+
+@partial(Program, nameless=True)
+def _made(
+    base: Model, source: Source, values: dict[str, Array], deviations: dict[str, Array], plan: Plan
+) -> tuple[list[Array], Int[Array, ""], Float[Array, ""]]:
+    """The leaves that change, status and gap [m]."""
+    blueprint = source.blueprint
+    structure = PartStructure(base.topology, blueprint.points, plan.products)
+    nominal = [source.numbers[i] for i in range(len(blueprint.names))]
+    named = list(zip(blueprint.names.all, nominal, strict=True))
+    wanted = [values.get(one.full, number) for one, number in named]
+    actual = [x + deviations[one.full] if one.full in deviations else x for (one, _), x in zip(named, wanted)]
+
+    def closed(numbers: list[Array], start: Model) -> tuple[Model, Float[Array, ""]]:
+        made = arrays_of(blueprint.filled(numbers), structure)
+        made = replace(made, start_joints=_held_start(start, made), cut_angles=start.cut_angles)
+        if not plan.closes:
+            return made, jnp.zeros(())
+        found = close_start(start, made)
+        return replace(made, start_joints=found.joints, cut_angles=found.cut_angles), found.gap
+
+    # What deviations open is for assembly to bend together, as what errors do.
+    made, gap = closed(wanted, base) if values else (base, jnp.zeros(()))
+    if deviations:
+        made, _ = closed(actual, made)
+    fits = gap <= blueprint.closing_tolerance * jnp.max(made.length)
+    pairs = [(one, x) for (one, _), x in zip(named, actual) if one.full in values or one.full in deviations]
+    possible = _possible(blueprint.filled(actual), pairs)
+    flexible = np.flatnonzero(np.array(base.topology.elements) > 1)  # rigid ones may have no section
+    possible = possible & jnp.all(made.section.stiffness[:, flexible] > 0.0)
+    if plan.arms:
+        possible = possible & (_longest_arm(made) <= LONGEST_ARM)
+    status = jnp.where(possible, jnp.where(fits, OK, NOT_CLOSED), DESIGN_OUT_OF_RANGE).astype(jnp.int32)
+    leaves = zip(jax.tree.leaves(made), jax.tree.leaves(base), plan.changes, strict=True)
+    return [jnp.where(status == OK, new, old) for new, old, changes in leaves if changes], status, gap
+
+
+def _held_start(base: Model, made: Model) -> Float[Array, " numbers"]:
+    """Start values: those that drives hold are numbers of the design, the others start from the nominal ones."""
+    topology = base.topology
+    held = np.isin(np.arange(base.start_joints.shape[0]), [topology.place_of(k) for k in topology.drives])
+    return jnp.where(held, made.start_joints, base.start_joints)
+
+
+def _possible(parts: Parts, numbers: list[tuple[Parameter, Array]]) -> Bool[Array, ""]:
+    """Whether numbers are finite and of the signs that they must have, and the walls of all tubes thin enough."""
+    good = jnp.ones((), bool)
+    for one, value in numbers:
+        right = value > 0.0 if one.sign == POSITIVE else value >= 0.0
+        good = good & jnp.isfinite(value) & (True if one.sign == ANY else right)
+    for link in parts.links:
+        if isinstance(link.section, Tube):
+            good = good & (jnp.asarray(link.section.inner_diameter) > 0.0)
+    return good
+
+
+def _longest_arm(model: Model) -> Float[Array, ""]:
+    """By how much any point lies outside the segment of the rfe that holds it, over the distance of two sdes."""
+    topology, found = model.topology, [jnp.zeros(())]
+    places = [
+        *zip(topology.parents, model.parent_position.T),
+        *zip(topology.children, model.child_position.T),
+        *zip(topology.masses, model.point_position.T),
+        *((end.node, end.position) for one in (model.frame_forces or {}).values() for end in (one.parent, one.child)),
+    ]
+    for node, position in places:
+        if node == BASE or topology.elements[topology.link_of(node)] == 1:
+            continue
+        link, n = topology.link_of(node), topology.n_links
+        shares = rfe_fractions(topology.elements[link])[0]
+        i = 0 if node < n else node - n - topology.ranges[link][0] + 1
+        # The origin of rfe 0 is at its start, that of the others in the middle.
+        low, high = (0.0, shares[0]) if i == 0 else (-0.5 * shares[i], 0.5 * shares[i])
+        x = position[0] / model.length[link]
+        beyond = jnp.maximum(low - x, x - high)
+        found.append(jnp.maximum(beyond, 0.0) * (topology.elements[link] - 1))
+    return jnp.max(jnp.stack(found))
+
+
+def status_of(status: Int[Array, "*positions"], made: Designed) -> Int[Array, "*positions"]:
+    """A status of a model of a design: that of the design, if it is not OK."""
+    return status if made.status is None else jnp.where(made.status == OK, status, made.status)
+
+
+def with_status(result: Any, made: Designed) -> Any:
+    """A result of a model of a design: an assembly or a run whose status is that of the design, if that is not OK."""
+    if made.status is None:
+        return result
+    status = status_of(result.status, made)
+    if isinstance(result, tuple):
+        return result._replace(status=status, design_gap=made.gap)  # pyright: ignore[reportAttributeAccessIssue]
+    return replace(result, status=status, design_gap=made.gap)
