@@ -9,7 +9,7 @@ Axes as in `exudyn_engine`: (x, y, z) there = (z, x, y) here.  Units: SI, rad.
 import numpy as np
 from exudyn_engine import BACK, TURNED, exut
 
-from rfem_jax.description.joint_kinds import KINDS
+from rfem_jax.description.basics.joint_kinds import KINDS
 from rfem_jax.mechanics.laws.point_laws import SpringBetween
 from rfem_jax.mechanics.model.model import BASE, Model
 

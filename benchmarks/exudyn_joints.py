@@ -18,7 +18,7 @@ import jax
 import numpy as np
 from exudyn_engine import BACK, HINGE, TURNED, exu, exut
 
-from rfem_jax.description.joint_kinds import KINDS
+from rfem_jax.description.basics.joint_kinds import KINDS
 from rfem_jax.mechanics.laws.friction_laws import Friction
 from rfem_jax.mechanics.laws.joint_laws import FunctionLaw, JointLaw, SpringLaw, TableLaw
 from rfem_jax.mechanics.model.model import BASE

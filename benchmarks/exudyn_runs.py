@@ -21,8 +21,8 @@ import numpy as np
 from exudyn_joints import axis_of, idle_moment, joined, loads_of, rows_of
 from exudyn_models import BACK, Settings, build, exu, linkage
 
-from rfem_jax.description.drives import GivenDrive
-from rfem_jax.description.joint_kinds import KINDS
+from rfem_jax.description.basics.joint_kinds import KINDS
+from rfem_jax.description.drives.rotations import GivenDrive
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.with_errors import AssemblyErrors
 

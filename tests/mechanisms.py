@@ -332,7 +332,7 @@ ALL = (four_bar, three_link_loop, six_link_loop, twisted_spatial_loop, two_loop_
 def some_errors(model, rng):
     """Every error of a model at once, of a few mrad and tenths of millimetres."""
     from rfem_jax import assembly_errors
-    from rfem_jax.description.error_catalogue import error_dimension
+    from rfem_jax.description.tolerances.error_catalogue import error_dimension
 
     size = {"angle": 5e-3, "length": 3e-4}
     names = model.topology.error_names

@@ -72,7 +72,7 @@ class StudyKeys(SphinxDirective):
     """All tables of a study file with their keys."""
 
     def run(self) -> list[nodes.Node]:
-        from rfem_jax.description.key_reference import key_tables
+        from rfem_jax.description.study_file.key_reference import key_tables
 
         found: list[nodes.Node] = []
         for table in key_tables():
@@ -89,7 +89,7 @@ class StudyMetrics(SphinxDirective):
     """All metrics with their units, what they mean, what has them, and their equations."""
 
     def run(self) -> list[nodes.Node]:
-        from rfem_jax.description.metric_reference import metric_tables
+        from rfem_jax.description.metrics.reference import metric_tables
 
         found: list[nodes.Node] = []
         for table in metric_tables():

@@ -1,16 +1,24 @@
 """What the user specifies: materials, sections, links, joints, the mechanism, its drive, a study.
 
 Place in the pipeline: the first package; imports nothing of the others. Everything is checked where it
-enters and converted to SI floats.
+enters and converted to SI floats. A room for each subject, from the bottom:
+
+basics       units, sentences of errors, tables of files, kinds of joints
+drives       what moves a mechanism, along angles and lengths
+mechanism    materials, sections, links, joints, springs and forces, and the mechanism of them
+methods      methods of integration
+tolerances   names of errors, tolerances, zones of drawings
+metrics      what is asked of a run
+parameters   every number of a description by a name; deviations and designs
+tasks        what is asked of a study
+study_file   a study, its reader, and what is told about its keys
 """
 
 import warnings
 
-from rfem_jax.description import design_metrics as design_metrics  # they register themselves
-from rfem_jax.description.bearings import Bearing
-from rfem_jax.description.clearance import Clearance
-from rfem_jax.description.compliance import Compliance
-from rfem_jax.description.drives import (
+from rfem_jax.description.basics.errors import InputError, nearest
+from rfem_jax.description.basics.units import quantity
+from rfem_jax.description.drives.rotations import (
     GivenDrive,
     MomentDrive,
     MomentFunction,
@@ -22,12 +30,39 @@ from rfem_jax.description.drives import (
     PrescribedSpinUp,
     PrescribedTable,
 )
-from rfem_jax.description.errors import InputError, nearest
-from rfem_jax.description.forces import JointForceFunction, JointForceTable, JointFriction, JointSpring
-from rfem_jax.description.joints import Joint
-from rfem_jax.description.links import Link, PointMass
-from rfem_jax.description.materials import Material
-from rfem_jax.description.mechanism import Mechanism
+from rfem_jax.description.drives.translations import (
+    ForceDrive,
+    ForceFunction,
+    ForceRamp,
+    ForceTable,
+    PrescribedDisplacements,
+    PrescribedRunUp,
+    PrescribedSpeed,
+)
+from rfem_jax.description.mechanism.bearings import Bearing
+from rfem_jax.description.mechanism.clearance import Clearance
+from rfem_jax.description.mechanism.compliance import Compliance
+from rfem_jax.description.mechanism.forces import JointForceFunction, JointForceTable, JointFriction, JointSpring
+from rfem_jax.description.mechanism.joints import Joint
+from rfem_jax.description.mechanism.links import Link, PointMass
+from rfem_jax.description.mechanism.materials import Material
+from rfem_jax.description.mechanism.mechanism import Mechanism
+from rfem_jax.description.mechanism.point_forces import (
+    PointForce,
+    PointMoment,
+    PointSpring,
+    PointSpringFunction,
+    PointSpringTable,
+)
+from rfem_jax.description.mechanism.rigid_bodies import RigidBody
+from rfem_jax.description.mechanism.sections import (
+    Circle,
+    GivenSection,
+    Rectangle,
+    Section,
+    SectionProperties,
+    Tube,
+)
 from rfem_jax.description.methods import (
     Automatic,
     Explicit,
@@ -37,33 +72,8 @@ from rfem_jax.description.methods import (
     Method,
     RungeKutta4,
 )
-from rfem_jax.description.point_forces import (
-    PointForce,
-    PointMoment,
-    PointSpring,
-    PointSpringFunction,
-    PointSpringTable,
-)
-from rfem_jax.description.rigid_bodies import RigidBody
-from rfem_jax.description.sections import (
-    Circle,
-    GivenSection,
-    Rectangle,
-    Section,
-    SectionProperties,
-    Tube,
-)
-from rfem_jax.description.study import Case, Study, load_study
-from rfem_jax.description.translation_drives import (
-    ForceDrive,
-    ForceFunction,
-    ForceRamp,
-    ForceTable,
-    PrescribedDisplacements,
-    PrescribedRunUp,
-    PrescribedSpeed,
-)
-from rfem_jax.description.units import quantity
+from rfem_jax.description.metrics import design_metrics as design_metrics  # they register themselves
+from rfem_jax.description.study_file.study import Case, Study, load_study
 
 __all__ = [
     "Automatic",

@@ -20,8 +20,15 @@ from dataclasses import dataclass, field, fields
 from numbers import Real
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from rfem_jax.description.errors import ChecksItself, InputError, Problems, require_choice, require_name, suggestion
-from rfem_jax.description.units import non_negative_quantity, positive_quantity
+from rfem_jax.description.basics.errors import (
+    ChecksItself,
+    InputError,
+    Problems,
+    require_choice,
+    require_name,
+    suggestion,
+)
+from rfem_jax.description.basics.units import non_negative_quantity, positive_quantity
 
 MOST_COUNT = 10**9
 DEFAULT_ACCURACY = 1e-3  # of `Automatic`

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from mpl_toolkits.mplot3d import Axes3D
 
-    from rfem_jax.description.study import Study
+    from rfem_jax.description.study_file.study import Study
     from rfem_jax.mechanics.model.discretisation import StartHeld, Structure
     from rfem_jax.mechanics.model.model import Model
     from rfem_jax.simulation.cycle import Cycle

@@ -176,7 +176,7 @@ def _answer(arguments: argparse.Namespace) -> tuple[Answer, list[str]]:
         with _rare_collections(), ProgressLine(sys.stderr) as line:
             if command.computes:
                 line("Loading JAX")
-            from rfem_jax.description.errors import InputError
+            from rfem_jax.description.basics.errors import InputError
 
             try:
                 return _act(arguments, line), []

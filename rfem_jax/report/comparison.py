@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.report.quantities import DRIVEN_JOINT, JOINT_METRICS, Quantity
 from rfem_jax.report.tables import format_numbers, format_table
 

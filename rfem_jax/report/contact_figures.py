@@ -7,8 +7,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from rfem_jax.description.clearance import Clearance
-from rfem_jax.description.study import Study
+from rfem_jax.description.mechanism.clearance import Clearance
+from rfem_jax.description.study_file.study import Study
 from rfem_jax.report.annotations import Figure, Run
 from rfem_jax.report.style import add_legend, add_titles, line_style, new_figure
 from rfem_jax.report.summary import in_legend, status_of

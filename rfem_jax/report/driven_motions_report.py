@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from rfem_jax.description.study import Study
+from rfem_jax.description.study_file.study import Study
 from rfem_jax.report.annotations import Run
 from rfem_jax.report.quantities import Quantity
 

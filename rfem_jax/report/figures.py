@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib import rc_context
 
-from rfem_jax.description.joint_kinds import KINDS
-from rfem_jax.description.study import Study
+from rfem_jax.description.basics.joint_kinds import KINDS
+from rfem_jax.description.study_file.study import Study
 from rfem_jax.report.annotations import Figure, Run, Summaries
 from rfem_jax.report.contact_figures import orbit_figures
 from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint

@@ -22,10 +22,10 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.compilation.keeping import state
-from rfem_jax.description.joint_kinds import KINDS
-from rfem_jax.description.metric_catalogue import notes_on, unit_of
-from rfem_jax.description.point_forces import AtPoint
-from rfem_jax.description.study import Study
+from rfem_jax.description.basics.joint_kinds import KINDS
+from rfem_jax.description.mechanism.point_forces import AtPoint
+from rfem_jax.description.metrics.catalogue import notes_on, unit_of
+from rfem_jax.description.study_file.study import Study
 from rfem_jax.mechanics.forces.bush_contacts import CONTACT_NAMES, ContactState
 from rfem_jax.mechanics.model.discretisation import start_held
 from rfem_jax.report.annotations import Run, StartHeld, Summaries

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
-from rfem_jax.description.mechanism import Mechanism
-from rfem_jax.description.point_forces import AtPoint
+from rfem_jax.description.mechanism.mechanism import Mechanism
+from rfem_jax.description.mechanism.point_forces import AtPoint
 from rfem_jax.report.annotations import Axes3D, Run
 
 ARROW = 0.15  # of the size of the mechanism

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from rfem_jax.description.forces import JointForce, JointForceTable, JointSpring
-from rfem_jax.description.joint_kinds import KINDS
-from rfem_jax.description.joints import Joint
-from rfem_jax.description.mechanism import Mechanism
+from rfem_jax.description.basics.joint_kinds import KINDS
+from rfem_jax.description.mechanism.forces import JointForce, JointForceTable, JointSpring
+from rfem_jax.description.mechanism.joints import Joint
+from rfem_jax.description.mechanism.mechanism import Mechanism
 from rfem_jax.report.annotations import Axes3D, Model, Run
 
 Point = Float[np.ndarray, " 3"]

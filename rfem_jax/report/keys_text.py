@@ -1,14 +1,14 @@
 """The keys of study files and the metrics as text: what the command `keys` prints.
 
-Place in the pipeline: after `rfem_jax.description.key_reference` and `metric_reference`.
+Place in the pipeline: after `rfem_jax.description.study_file.key_reference` and `metric_reference`.
 """
 
 import textwrap
 from dataclasses import replace
 
-from rfem_jax.description.errors import InputError, suggestion
-from rfem_jax.description.key_reference import Key, KeyTable, key_tables
-from rfem_jax.description.metric_reference import MetricTable, metric_tables
+from rfem_jax.description.basics.errors import InputError, suggestion
+from rfem_jax.description.metrics.reference import MetricTable, metric_tables
+from rfem_jax.description.study_file.key_reference import Key, KeyTable, key_tables
 
 METRICS = "metrics"  # the word that asks for them
 WIDTH = 120  # columns of a terminal

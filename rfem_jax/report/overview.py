@@ -9,19 +9,19 @@ import re
 from dataclasses import fields
 from typing import Any
 
-from rfem_jax.description.deviations import deviation_unit
-from rfem_jax.description.drive_numbers import drive_number_names, drive_number_unit, drive_number_value
-from rfem_jax.description.driven_motions import AnyDrive
-from rfem_jax.description.error_catalogue import as_specified
-from rfem_jax.description.forces import Force, JointForce, JointForceTable, JointFriction
-from rfem_jax.description.joint_kinds import KINDS
-from rfem_jax.description.joints import Joint
-from rfem_jax.description.mechanism import EQUILIBRIUM, Mechanism
-from rfem_jax.description.parameters import parameters_of
-from rfem_jax.description.parts import parts_of
-from rfem_jax.description.point_forces import AtPoint, PointLoad
-from rfem_jax.description.sections import Section
-from rfem_jax.description.study import Case, Study
+from rfem_jax.description.basics.joint_kinds import KINDS
+from rfem_jax.description.drives.driven_motions import AnyDrive
+from rfem_jax.description.drives.numbers_by_name import drive_number_names, drive_number_unit, drive_number_value
+from rfem_jax.description.mechanism.forces import Force, JointForce, JointForceTable, JointFriction
+from rfem_jax.description.mechanism.joints import Joint
+from rfem_jax.description.mechanism.mechanism import EQUILIBRIUM, Mechanism
+from rfem_jax.description.mechanism.point_forces import AtPoint, PointLoad
+from rfem_jax.description.mechanism.sections import Section
+from rfem_jax.description.parameters.deviations import deviation_unit
+from rfem_jax.description.parameters.parameters import parameters_of
+from rfem_jax.description.parameters.parts import parts_of
+from rfem_jax.description.study_file.study import Case, Study
+from rfem_jax.description.tolerances.error_catalogue import as_specified
 from rfem_jax.report.annotations import StartHeld, Structure
 from rfem_jax.report.tables import format_table, title_text
 from rfem_jax.text_layout import wrap_lines

@@ -20,7 +20,7 @@ def require_platform() -> None:
     try:
         jax.devices()
     except (RuntimeError, AssertionError) as problem:
-        from rfem_jax.description.errors import InputError
+        from rfem_jax.description.basics.errors import InputError
 
         wanted = os.environ.get("JAX_PLATFORMS") or jax.config.jax_platforms  # pyright: ignore[reportAttributeAccessIssue]  # added at run time
         raise InputError(
@@ -66,7 +66,7 @@ def count_devices(arguments: argparse.Namespace) -> int | None:
     `check` has as many as the commands that compute samples, for a compiled program serves only processes of as many
     devices.  Raises InputError for a number below 1.
     """
-    from rfem_jax.description.errors import InputError
+    from rfem_jax.description.basics.errors import InputError
 
     if not hasattr(arguments, "study"):
         return None
@@ -94,7 +94,7 @@ def sharing(arguments: argparse.Namespace) -> AbstractContextManager[None]:
     processes, process = (getattr(arguments, name, None) for name in ("processes", "process_id"))
     if processes is None and process is None:
         return nullcontext()
-    from rfem_jax.description.errors import InputError
+    from rfem_jax.description.basics.errors import InputError
 
     if processes is None or process is None or processes < 1 or not 0 <= process < processes:
         raise InputError(

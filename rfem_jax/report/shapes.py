@@ -11,11 +11,11 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
-from rfem_jax.description.forces import JointForce
-from rfem_jax.description.joint_kinds import KINDS
-from rfem_jax.description.joints import Joint
-from rfem_jax.description.mechanism import Mechanism
-from rfem_jax.description.study import Study
+from rfem_jax.description.basics.joint_kinds import KINDS
+from rfem_jax.description.mechanism.forces import JointForce
+from rfem_jax.description.mechanism.joints import Joint
+from rfem_jax.description.mechanism.mechanism import Mechanism
+from rfem_jax.description.study_file.study import Study
 from rfem_jax.report.annotations import Axes3D, Figure, Run
 from rfem_jax.report.force_shapes import draw_forces
 from rfem_jax.report.joint_symbols import (

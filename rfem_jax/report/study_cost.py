@@ -6,9 +6,9 @@ Place in the pipeline: after `load_study`; computes nothing.
 
 import math
 
-from rfem_jax.description.forces import JointFriction
-from rfem_jax.description.joint_kinds import KINDS
-from rfem_jax.description.study import Study
+from rfem_jax.description.basics.joint_kinds import KINDS
+from rfem_jax.description.mechanism.forces import JointFriction
+from rfem_jax.description.study_file.study import Study
 from rfem_jax.task_kinds import task_kinds
 from rfem_jax.text_layout import size_text, time_text, wrap_lines
 

@@ -9,7 +9,7 @@ import textwrap
 from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
-from rfem_jax.description.study import Study
+from rfem_jax.description.study_file.study import Study
 from rfem_jax.report.annotations import Axes, Figure
 from rfem_jax.report.summary import study_note
 

@@ -13,8 +13,8 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from rfem_jax.description.metric_catalogue import metric_of
-from rfem_jax.description.study import Study
+from rfem_jax.description.metrics.catalogue import metric_of
+from rfem_jax.description.study_file.study import Study
 from rfem_jax.mechanics.forces.bush_contacts import CLOSED, CONTACT_NAMES, ContactState, carrying
 from rfem_jax.mechanics.model.status import STATUS
 from rfem_jax.report.annotations import Run, Summaries

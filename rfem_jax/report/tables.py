@@ -10,9 +10,9 @@ from collections.abc import Collection, Iterable, Sequence
 from functools import reduce
 from operator import getitem
 
-from rfem_jax.description.error_catalogue import as_specified
-from rfem_jax.description.metric_catalogue import notes_on, unit_of
-from rfem_jax.description.study import Study
+from rfem_jax.description.metrics.catalogue import notes_on, unit_of
+from rfem_jax.description.study_file.study import Study
+from rfem_jax.description.tolerances.error_catalogue import as_specified
 from rfem_jax.report.annotations import Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
 from rfem_jax.report.quantities import BALANCES, DRIVEN_JOINT, JOINT_METRICS, Quantity

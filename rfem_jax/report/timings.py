@@ -20,7 +20,7 @@ import jax
 
 from rfem_jax.compilation import keeping, keys
 from rfem_jax.compilation.cache import user_cache_folder
-from rfem_jax.description.study import Study
+from rfem_jax.description.study_file.study import Study
 from rfem_jax.tolerancing.problems.sharing import process_count
 from rfem_jax.whole_files import replacing
 

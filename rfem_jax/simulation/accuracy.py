@@ -20,7 +20,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.methods import DEFAULT_ACCURACY, Automatic, GeneralisedAlpha, Method, RungeKutta4
 from rfem_jax.mechanics.dynamics.loads import has_tables_over_position
 from rfem_jax.mechanics.forces.friction import require_implicit

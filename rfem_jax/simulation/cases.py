@@ -13,10 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.description.driven_motions import Drive
+from rfem_jax.description.drives.driven_motions import Drive
 from rfem_jax.description.methods import Method
-from rfem_jax.description.metric_catalogue import records_for
-from rfem_jax.description.study import Study
+from rfem_jax.description.metrics.catalogue import records_for
+from rfem_jax.description.study_file.study import Study
 from rfem_jax.labelled_data import DataFrame, Dataset, frame
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.with_errors import AssemblyErrors, assembly_errors

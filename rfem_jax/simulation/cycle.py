@@ -21,9 +21,9 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.description.driven_motions import each_drive
-from rfem_jax.description.drives import PrescribedRate
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.drives.driven_motions import each_drive
+from rfem_jax.description.drives.rotations import PrescribedRate
 from rfem_jax.mechanics.laws.point_laws import changing
 from rfem_jax.mechanics.model.model import Model, State, Topology
 from rfem_jax.mechanics.model.with_errors import AssemblyErrors, assembly_errors

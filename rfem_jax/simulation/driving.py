@@ -10,8 +10,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from rfem_jax.description.drive_numbers import drive_number_names, drive_number_value, drives_with, each_drive_number
-from rfem_jax.description.driven_motions import (
+from rfem_jax.description.basics.errors import InputError, suggestion
+from rfem_jax.description.drives.driven_motions import (
     AnyDrive,
     Drive,
     driven_motion,
@@ -20,8 +20,13 @@ from rfem_jax.description.driven_motions import (
     motion_label,
     own_breakpoints,
 )
-from rfem_jax.description.drives import GivenDrive, PrescribedDrive, Time
-from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.description.drives.numbers_by_name import (
+    drive_number_names,
+    drive_number_value,
+    drives_with,
+    each_drive_number,
+)
+from rfem_jax.description.drives.rotations import GivenDrive, PrescribedDrive, Time
 from rfem_jax.mechanics.laws.frame_forces import Time as Instant
 from rfem_jax.mechanics.laws.point_laws import breakpoints_of, changing, rows_of
 from rfem_jax.mechanics.model.inputs import DriveInput

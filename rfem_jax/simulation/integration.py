@@ -22,9 +22,9 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.description.driven_motions import Drive
-from rfem_jax.description.errors import InputError
-from rfem_jax.description.mechanism import AS_GIVEN
+from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.drives.driven_motions import Drive
+from rfem_jax.description.mechanism.mechanism import AS_GIVEN
 from rfem_jax.description.methods import GeneralisedAlpha, Method
 from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.algebra.reordering import rows

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from rfem_jax import rich_text
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.labelled_data import COMPONENTS, DataFrame, Dataset, Labelled, column_name, dataset, frame
 from rfem_jax.mechanics.forces.bush_contacts import CONTACT_NAMES
 from rfem_jax.mechanics.model.status import STATUS

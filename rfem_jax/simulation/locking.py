@@ -17,7 +17,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Float, Int
 
-from rfem_jax.description.driven_motions import Drive
+from rfem_jax.description.drives.driven_motions import Drive
 from rfem_jax.mechanics.model.discretisation import CLOSING_TOLERANCE, close_at
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.nominal_geometry import geometry_of, joint_units

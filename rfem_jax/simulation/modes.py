@@ -25,8 +25,8 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import ArrayLike, Float, Int
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.description.errors import InputError
-from rfem_jax.description.precision import require_float64
+from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.implicit.residual import evaluate_residual
 from rfem_jax.mechanics.model.inputs import DriveInput

@@ -21,8 +21,8 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from rfem_jax.description.errors import InputError, suggestion
-from rfem_jax.description.metric_subjects import divided
+from rfem_jax.description.basics.errors import InputError, suggestion
+from rfem_jax.description.metrics.subjects import divided
 from rfem_jax.mechanics.algebra.vectors import dot
 from rfem_jax.mechanics.dynamics.loads import velocities
 from rfem_jax.mechanics.dynamics.section_loads import loads_of_sections, stress_squares

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from rfem_jax.description.drives import GivenDrive, MomentFunction, PrescribedFunction
-from rfem_jax.description.translation_drives import ForceFunction
+from rfem_jax.description.drives.rotations import GivenDrive, MomentFunction, PrescribedFunction
+from rfem_jax.description.drives.translations import ForceFunction
 from rfem_jax.mechanics.laws.frame_forces import Time
 from rfem_jax.mechanics.laws.point_laws import FunctionVector, GivenLoad
 from rfem_jax.mechanics.model.model import Model

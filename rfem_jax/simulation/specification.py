@@ -12,11 +12,11 @@ import jax
 from jax.core import Tracer
 from jax.typing import ArrayLike
 
-from rfem_jax.description.driven_motions import Drive
-from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.description.basics.errors import InputError, suggestion
+from rfem_jax.description.basics.precision import require_float64
+from rfem_jax.description.drives.driven_motions import Drive
 from rfem_jax.description.methods import Automatic, Method
-from rfem_jax.description.precision import require_float64
-from rfem_jax.description.study import Study
+from rfem_jax.description.study_file.study import Study
 from rfem_jax.mechanics.model.model import Model, State
 from rfem_jax.mechanics.statics.assembly import with_start
 from rfem_jax.mechanics.statics.designs import Design, model_of_study

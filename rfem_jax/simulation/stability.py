@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Complex
 
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.methods import Leapfrog, Method, RungeKutta4
 from rfem_jax.mechanics.forces.friction import require_implicit
 from rfem_jax.mechanics.model.discretisation import CLOSING_TOLERANCE, close_at

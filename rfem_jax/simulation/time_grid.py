@@ -21,7 +21,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.methods import Method
 
 SAVED_BY_DEFAULT = 500  # intervals

@@ -17,8 +17,8 @@ from jax import Array
 from jaxtyping import Float, Int
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.description.errors import InputError
-from rfem_jax.description.precision import require_float64
+from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.dynamics.section_loads import loads_of_sections, stress_squares
 from rfem_jax.mechanics.elements.linear_validity import linear_error, linear_range

@@ -28,7 +28,7 @@ from jaxtyping import Complex, Float, Inexact
 from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, eigsh
 
-from rfem_jax.description.joint_kinds import JointKind
+from rfem_jax.description.basics.joint_kinds import JointKind
 from rfem_jax.mechanics.laws.frame_forces import START, FrameForce, Pose
 from rfem_jax.mechanics.laws.friction_laws import Friction
 from rfem_jax.mechanics.laws.joint_laws import JointLaw, law_derivatives

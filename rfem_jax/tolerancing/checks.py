@@ -6,10 +6,10 @@ Place in the pipeline: the first thing that a study does; refuses bad input befo
 from collections.abc import Collection, Iterable, Mapping
 from typing import Any, SupportsFloat
 
-from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.description.basics.errors import InputError, suggestion
+from rfem_jax.description.basics.units import DIMENSIONS as ALL_DIMENSIONS
+from rfem_jax.description.basics.units import quantity
 from rfem_jax.description.tasks.settings import limit_ends
-from rfem_jax.description.units import DIMENSIONS as ALL_DIMENSIONS
-from rfem_jax.description.units import quantity
 
 # Dimensions by SI units: angles and lengths of errors first, then those of parameters.
 DIMENSIONS = {"rad": "angle", "m": "length"}

@@ -5,7 +5,7 @@ Place in the pipeline: used where a result of this package prints itself, and by
 
 from typing import SupportsFloat
 
-from rfem_jax.description.error_catalogue import as_specified
+from rfem_jax.description.tolerances.error_catalogue import as_specified
 
 NEGLIGIBLE = 1e-12  # of the scale: rounding, shown as 0
 

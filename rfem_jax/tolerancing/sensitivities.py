@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from rfem_jax.description.error_catalogue import as_specified
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.tolerances.error_catalogue import as_specified
 from rfem_jax.text_layout import align_columns, wrap_lines
 from rfem_jax.tolerancing.checks import ErrorValues, check_known
 from rfem_jax.tolerancing.contributions import VarianceShares, variance_shares

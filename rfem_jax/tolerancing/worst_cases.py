@@ -22,8 +22,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from rfem_jax.description.errors import InputError
-from rfem_jax.description.precision import require_float64
+from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.text_layout import align_columns, wrap_lines
 from rfem_jax.tolerancing.checks import ErrorValues
 from rfem_jax.tolerancing.labelled_results import LabelledWorstCase

@@ -5,7 +5,7 @@ Place in the pipeline: what `rfem-jax validate` runs, one after the other.
 
 from collections.abc import Callable, Iterator, Sequence
 
-from rfem_jax.description.errors import InputError, suggestion
+from rfem_jax.description.basics.errors import InputError, suggestion
 from rfem_jax.validation import (
     acting_forces,
     andrews_squeezer,

@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 from scipy.integrate import solve_ivp
 
 from rfem_jax.description import Joint, JointForceFunction, JointSpring, Mechanism, RungeKutta4
-from rfem_jax.description.forces import JointForce
+from rfem_jax.description.mechanism.forces import JointForce
 from rfem_jax.mechanics.dynamics.loads import static_state
 from rfem_jax.mechanics.model.discretisation import discretise
 from rfem_jax.simulation import Run, Simulation, simulate

@@ -19,7 +19,7 @@ from rfem_jax.description import (
     Rectangle,
     RungeKutta4,
 )
-from rfem_jax.description.compliance import Compliance
+from rfem_jax.description.mechanism.compliance import Compliance
 from rfem_jax.mechanics.model.discretisation import discretise
 from rfem_jax.mechanics.model.with_errors import assembly_errors
 from rfem_jax.simulation import Run, Simulation, simulate

@@ -35,7 +35,7 @@ import numpy as np  # noqa: E402
 from scipy.stats import qmc  # noqa: E402
 
 from rfem_jax import Clearance, Model, Study, assemble, assembly_errors, design, discretise, load_study  # noqa: E402
-from rfem_jax.description.iso_fits import fit  # noqa: E402
+from rfem_jax.description.basics.iso_fits import fit  # noqa: E402
 from rfem_jax.report.output import write_csv, write_json  # noqa: E402
 
 

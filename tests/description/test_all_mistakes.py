@@ -5,8 +5,8 @@ import re
 import pytest
 
 from rfem_jax.description import InputError, Joint, Link, Material, MomentTable, PointMass, Rectangle, load_study
-from rfem_jax.description.errors import ABSENT, Checks, Problems
-from rfem_jax.description.tables import build
+from rfem_jax.description.basics.errors import ABSENT, Checks, Problems
+from rfem_jax.description.basics.tables import build
 from rfem_jax.description.tasks import MonteCarloTask, Task
 
 from .test_study_files import FULL, TEXT

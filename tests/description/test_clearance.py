@@ -19,7 +19,7 @@ from rfem_jax import (
     load_study,
     parameters,
 )
-from rfem_jax.description.tolerances import SpecifiedTolerance
+from rfem_jax.description.tolerances.tolerances import SpecifiedTolerance
 from rfem_jax.report.overview import _clearance_text, joint_rows
 
 from .test_study_files import FULL

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rfem_jax import Compliance, InputError, Joint, Link, Mechanism, Rectangle, describe, discretise, load_study
-from rfem_jax.description.joint_kinds import KINDS, JointKind, compliant
+from rfem_jax.description.basics.joint_kinds import KINDS, JointKind, compliant
 from rfem_jax.report.overview import _compliance_text
 from tests.mechanisms import STEEL, compliant_four_bar, four_bar
 

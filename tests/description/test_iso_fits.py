@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import rfem_jax.description
-from rfem_jax.description.iso_fits import deviations, fit
+from rfem_jax.description.basics.iso_fits import deviations, fit
 
 # Limits in micrometres as machinists' tables print them (ISO 286-2).
 PUBLISHED = {

@@ -5,8 +5,8 @@ import math
 import pytest
 
 from rfem_jax.description import Joint, Mechanism
-from rfem_jax.description.deviations import require_deviation
-from rfem_jax.description.joint_kinds import KINDS, JointKind, joint_errors
+from rfem_jax.description.basics.joint_kinds import KINDS, JointKind, joint_errors
+from rfem_jax.description.parameters.deviations import require_deviation
 
 from .test_mechanism import beam
 

@@ -2,11 +2,11 @@
 
 import pytest
 
-from rfem_jax.description.errors import InputError
-from rfem_jax.description.joint_kinds import KINDS
-from rfem_jax.description.metric_catalogue import JOINT_METRICS, LINK_METRICS, RUN_METRICS
-from rfem_jax.description.metric_reference import metric_tables
-from rfem_jax.description.metric_subjects import JointSubject, MetricSubjects, require_metric
+from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.basics.joint_kinds import KINDS
+from rfem_jax.description.metrics.catalogue import JOINT_METRICS, LINK_METRICS, RUN_METRICS
+from rfem_jax.description.metrics.reference import metric_tables
+from rfem_jax.description.metrics.subjects import JointSubject, MetricSubjects, require_metric
 
 
 def rows(number):

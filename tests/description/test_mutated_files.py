@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from rfem_jax.description import InputError, load_study
-from rfem_jax.description.errors import condensed, with_short_quotes
-from rfem_jax.description.plausibility import doubtful_numbers
+from rfem_jax.description.basics.errors import condensed, with_short_quotes
+from rfem_jax.description.study_file.plausibility import doubtful_numbers
 
 from .mutated_studies import KINDS, mutations
 

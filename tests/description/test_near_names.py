@@ -2,9 +2,9 @@
 
 import pytest
 
-from rfem_jax.description.errors import InputError, nearest
-from rfem_jax.description.metric_catalogue import known_names
-from rfem_jax.description.tolerances import read_tolerances
+from rfem_jax.description.basics.errors import InputError, nearest
+from rfem_jax.description.metrics.catalogue import known_names
+from rfem_jax.description.tolerances.tolerances import read_tolerances
 
 
 @pytest.mark.parametrize(

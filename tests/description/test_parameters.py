@@ -6,9 +6,9 @@ import pytest
 
 from rfem_jax import Circle, InputError, Link, Mechanism
 from rfem_jax.description import load_study
-from rfem_jax.description.deviations import deviation_unit, require_deviation
-from rfem_jax.description.parameters import parameters_of
-from rfem_jax.description.parts import number_at, parts_of, with_number, with_numbers
+from rfem_jax.description.parameters.deviations import deviation_unit, require_deviation
+from rfem_jax.description.parameters.parameters import parameters_of
+from rfem_jax.description.parameters.parts import number_at, parts_of, with_number, with_numbers
 from tests.mechanisms import STEEL, chain_with_forces, four_bar, loop_with_springs
 from tests.report.conftest import STUDY
 

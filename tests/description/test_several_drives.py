@@ -18,7 +18,7 @@ from rfem_jax.description import (
     PrescribedTable,
     load_study,
 )
-from rfem_jax.description.driven_motions import all_breakpoints, each_drive, own_breakpoints
+from rfem_jax.description.drives.driven_motions import all_breakpoints, each_drive, own_breakpoints
 from tests.study_texts import STEEL, hinge, link, rectangle
 
 PAIRS = [  # of a rotation and of a translation: the same law

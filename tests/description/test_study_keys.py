@@ -5,9 +5,12 @@ import tomllib
 
 import pytest
 
-from rfem_jax.description import force_reader, load_study, study, study_reader, tables, tolerances
-from rfem_jax.description.key_reference import NEEDED, argument_meanings, key_tables
+from rfem_jax.description import load_study
+from rfem_jax.description.basics import tables
+from rfem_jax.description.study_file import force_reader, study, study_reader
+from rfem_jax.description.study_file.key_reference import NEEDED, argument_meanings, key_tables
 from rfem_jax.description.tasks import costs, task
+from rfem_jax.description.tolerances import tolerances
 
 from .test_bearings import BEARING
 from .test_clearance import CLEARANCE

@@ -8,9 +8,9 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from rfem_jax.description.joint_kinds import KINDS
-from rfem_jax.description.key_reference import key_tables
-from rfem_jax.description.schema import schema_text, study_schema
+from rfem_jax.description.basics.joint_kinds import KINDS
+from rfem_jax.description.study_file.key_reference import key_tables
+from rfem_jax.description.study_file.schema import schema_text, study_schema
 
 FOLDER = Path(__file__).parents[2]
 STUDIES = sorted(

@@ -9,7 +9,7 @@ import pytest
 from rfem_jax.description import load_study
 from rfem_jax.description.tasks import MonteCarloTask, SensitivityTask, Tasks, WorstCaseTask
 from rfem_jax.description.tasks.allocation import AllocationTask, ErrorCost
-from rfem_jax.description.tolerances import CorrelatedTolerances, SpecifiedTolerance
+from rfem_jax.description.tolerances.tolerances import CorrelatedTolerances, SpecifiedTolerance
 
 STUDIES = Path(__file__).parents[2] / "studies"
 FOUR_BAR = (STUDIES / "four_bar" / "study.toml").read_text(encoding="utf-8")

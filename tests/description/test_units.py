@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax.description.units import (
+from rfem_jax.description.basics.units import (
     DIMENSIONS,
     UNITS,
     non_negative_quantity,

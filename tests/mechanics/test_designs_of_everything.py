@@ -36,8 +36,8 @@ from rfem_jax import (
     discretise,
     parameters,
 )
-from rfem_jax.description.parameters import parameters_of
-from rfem_jax.description.parts import number_at, parts_of, scaled, with_number
+from rfem_jax.description.parameters.parameters import parameters_of
+from rfem_jax.description.parameters.parts import number_at, parts_of, scaled, with_number
 from rfem_jax.mechanics.model.building import PartStructure, arrays_of
 from rfem_jax.mechanics.statics.designs import _plan_of, designed
 

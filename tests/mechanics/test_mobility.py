@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rfem_jax import Joint, JointSpring, Mechanism, describe, discretise
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.report.overview import count_lines
 from tests.mechanisms import link, loop_cut_by
 

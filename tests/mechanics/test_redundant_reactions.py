@@ -34,7 +34,7 @@ from rfem_jax import (
     natural_frequencies,
     simulate,
 )
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.methods import named_method
 from rfem_jax.mechanics.dynamics import loads as joint_loads
 from rfem_jax.mechanics.dynamics.dynamics import accelerations

@@ -7,7 +7,7 @@ import tomllib
 import pytest
 
 from rfem_jax.description import load_study
-from rfem_jax.description.schema import FILE, LINE, study_schema
+from rfem_jax.description.study_file.schema import FILE, LINE, study_schema
 from rfem_jax.mechanics import describe, discretise
 from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from rfem_jax import Joint, JointForceTable, JointSpring, Mechanism
-from rfem_jax.description.joint_kinds import KINDS
+from rfem_jax.description.basics.joint_kinds import KINDS
 from rfem_jax.report.joint_symbols import MARKERS, draw_force, draw_joint, guide_ends, joint_seats, legend_handles
 from tests.mechanisms import chain_of_kinds, link
 

@@ -11,7 +11,7 @@ import rfem_jax.simulation
 from rfem_jax import TaskKind, load_study, register_task, task_kinds
 from rfem_jax.description.tasks import MonteCarloTask, Task, Tasks
 from rfem_jax.description.tasks.settings import metric_names, set_fields
-from rfem_jax.description.tolerances import error_quantities
+from rfem_jax.description.tolerances.tolerances import error_quantities
 from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
 from rfem_jax.report.output import write_csv

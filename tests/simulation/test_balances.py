@@ -24,7 +24,7 @@ from rfem_jax import (
     discretise,
     simulate,
 )
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.mechanics.model.status import STATUS
 from rfem_jax.simulation.remarks import BALANCE_LIMIT, REMARKABLE_BALANCE
 from tests.mechanisms import four_bar, link

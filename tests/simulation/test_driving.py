@@ -18,7 +18,7 @@ from rfem_jax import (
     run_cases,
     simulate,
 )
-from rfem_jax.description.study import Study
+from rfem_jax.description.study_file.study import Study
 from rfem_jax.simulation.driving import require_driven
 from tests.mechanisms import four_bar
 

@@ -21,7 +21,7 @@ from rfem_jax import (
     run_cases,
     simulate,
 )
-from rfem_jax.description.study import Case, Study
+from rfem_jax.description.study_file.study import Case, Study
 from rfem_jax.mechanics.kinematics import motion as kinematics
 from rfem_jax.mechanics.model.status import DIVERGED, NOT_ASSEMBLED
 from rfem_jax.simulation import integration

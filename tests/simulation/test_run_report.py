@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rfem_jax import assembly_errors
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.mechanics.dynamics.centre_lines import trace_shapes
 from tests.report.page_folder import content_of
 

@@ -8,7 +8,7 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from rfem_jax import RungeKutta4, Simulation, assembly_errors, check_step, discretise, simulate
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.mechanics.dynamics.dynamics import accelerations
 from rfem_jax.mechanics.dynamics.loads import static_state
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation

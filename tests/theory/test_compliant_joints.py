@@ -33,7 +33,7 @@ from rfem_jax import (
     discretise,
     simulate,
 )
-from rfem_jax.description.compliance import SprungDirection
+from rfem_jax.description.mechanism.compliance import SprungDirection
 from rfem_jax.mechanics.laws.joint_springs import compliant_spring
 from rfem_jax.simulation.stability import eigenvalues, largest_stable_step
 from rfem_jax.validation.reference_values import read_reference

@@ -29,8 +29,8 @@ from rfem_jax import (
     discretise,
     simulate,
 )
-from rfem_jax.description.bearings import LIFE_EXPONENTS
-from rfem_jax.description.design_metrics import MILLION_REVOLUTIONS
+from rfem_jax.description.mechanism.bearings import LIFE_EXPONENTS
+from rfem_jax.description.metrics.design_metrics import MILLION_REVOLUTIONS
 from rfem_jax.tolerancing.problems.metrics import metric
 from tests.evaluation import evaluated
 from tests.mechanisms import STEEL

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.tolerancing.allocation.allocation_study import allocate
 from rfem_jax.tolerancing.allocation.cost_models import (
     Exponential,

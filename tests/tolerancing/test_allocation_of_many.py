@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import optimize, special, stats
 
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.tolerancing.allocation.allocation_study import ATTEMPTS, _passes, allocate
 from rfem_jax.tolerancing.allocation.cost_models import Exponential, Reciprocal, ReciprocalSquared
 from rfem_jax.tolerancing.allocation.models import Verified

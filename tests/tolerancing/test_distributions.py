@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.tolerancing.allocation.cost_models import Reciprocal
 from rfem_jax.tolerancing.allocation.request import check_request
 from rfem_jax.tolerancing.problems.distributions import Normal, Triangular, TruncatedNormal, Uniform

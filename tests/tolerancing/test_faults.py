@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import rfem_jax
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.tolerancing.problems import execution, results_store, sample_values
 from rfem_jax.tolerancing.problems.distributions import Uniform
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances

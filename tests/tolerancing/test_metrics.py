@@ -18,8 +18,8 @@ from rfem_jax import (
     discretise,
     sensitivity,
 )
-from rfem_jax.description.errors import InputError
-from rfem_jax.description.metric_catalogue import JOINT_METRICS, RUN_METRICS
+from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.metrics.catalogue import JOINT_METRICS, RUN_METRICS
 from rfem_jax.tolerancing.problems import metrics
 from rfem_jax.tolerancing.problems.metrics import Metric, metric, register_metric
 from tests.mechanisms import link

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import rfem_jax
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.tolerancing import progress as progress_module
 from rfem_jax.tolerancing.problems import execution
 from rfem_jax.tolerancing.problems.distributions import Normal, Uniform

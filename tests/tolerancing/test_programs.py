@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.tolerancing.allocation.allocation_study import allocate
 from rfem_jax.tolerancing.allocation.cost_models import Reciprocal
 from rfem_jax.tolerancing.optimisation.projected_gradient import climb, climb_together, project_ball

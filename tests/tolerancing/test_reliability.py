@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.tolerancing.problems.distributions import Normal, Uniform
 from rfem_jax.tolerancing.problems.joint_distributions import CorrelatedNormal, Zone
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances

@@ -3,7 +3,7 @@
 import jax
 import pytest
 
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.tolerancing import Reciprocal, Tolerances, Uniform, allocate, optimise, reliability, worst_case
 from rfem_jax.tolerancing.problems.problem import FunctionProblem
 

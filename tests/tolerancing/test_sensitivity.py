@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.tolerancing import progress
 from rfem_jax.tolerancing.problems.linearisation import REVERSE_COST, choose_mode, linearise_points
 from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric

@@ -4,8 +4,8 @@ import jax
 import numpy as np
 import pytest
 
-from rfem_jax.description.errors import InputError
-from rfem_jax.description.zones import SpecifiedZone
+from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.tolerances.zones import SpecifiedZone
 from rfem_jax.tolerancing.allocation.allocation_study import allocate
 from rfem_jax.tolerancing.allocation.cost_models import Reciprocal
 from rfem_jax.tolerancing.optimisation.sizes import Sizes

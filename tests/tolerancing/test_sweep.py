@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.tolerancing.designs.response_surface import fit_response_surface
 from rfem_jax.tolerancing.designs.sweep_study import sweep
 from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.tolerancing.optimisation.projected_gradient import climb, project_ball
 from rfem_jax.tolerancing.optimisation.starting_points import distinct, maximise_quadratic, quadratic_bound
 from rfem_jax.tolerancing.problems.distributions import Uniform

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rfem_jax.description.errors import InputError
-from rfem_jax.description.tolerances import read_tolerances
-from rfem_jax.description.zones import SpecifiedZone
+from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.tolerances.tolerances import read_tolerances
+from rfem_jax.description.tolerances.zones import SpecifiedZone
 from rfem_jax.tolerancing.problems.capability import process_capability
 from rfem_jax.tolerancing.problems.distributions import ProcessNormal, Triangular, TruncatedNormal, Uniform
 from rfem_jax.tolerancing.problems.joint_distributions import CorrelatedNormal, Zone

@@ -11,8 +11,9 @@ from collections.abc import Collection
 from dataclasses import MISSING, Field, dataclass, field, fields
 from typing import Any, ClassVar
 
-from rfem_jax.description.errors import Checks, InputError, require_choice
-from rfem_jax.description.tables import keys_of
+from rfem_jax.description.basics.errors import Checks, InputError, require_choice
+from rfem_jax.description.basics.tables import keys_of
+from rfem_jax.description.basics.units import positive_quantity
 from rfem_jax.description.tasks.costs import (
     ErrorCost,
     complete_costs,
@@ -31,9 +32,8 @@ from rfem_jax.description.tasks.settings import (
     whole_number,
 )
 from rfem_jax.description.tasks.task import Task
-from rfem_jax.description.tolerances import SpecifiedTolerances
-from rfem_jax.description.units import positive_quantity
-from rfem_jax.description.zones import SpecifiedZone
+from rfem_jax.description.tolerances.tolerances import SpecifiedTolerances
+from rfem_jax.description.tolerances.zones import SpecifiedZone
 
 # Settings that count for some criteria only.
 _CRITERIA_OF = {

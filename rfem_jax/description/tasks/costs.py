@@ -12,14 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from rfem_jax.description.error_catalogue import (
-    JOINT_ERRORS,
-    LINK_ERRORS,
-    error_dimension,
-    knows_dimension,
-    parameters_being_read,
-)
-from rfem_jax.description.errors import (
+from rfem_jax.description.basics.errors import (
     ABSENT,
     Checks,
     ChecksItself,
@@ -29,10 +22,17 @@ from rfem_jax.description.errors import (
     nearest,
     require_choice,
 )
-from rfem_jax.description.tables import build, checked_table, keys_of
-from rfem_jax.description.tolerances import SpecifiedTolerances
-from rfem_jax.description.units import DERIVED, positive_quantity, quantity
-from rfem_jax.description.zones import CHARACTERISTICS, OF_DIRECTION, SpecifiedZone, is_zone
+from rfem_jax.description.basics.tables import build, checked_table, keys_of
+from rfem_jax.description.basics.units import DERIVED, positive_quantity, quantity
+from rfem_jax.description.tolerances.error_catalogue import (
+    JOINT_ERRORS,
+    LINK_ERRORS,
+    error_dimension,
+    knows_dimension,
+    parameters_being_read,
+)
+from rfem_jax.description.tolerances.tolerances import SpecifiedTolerances
+from rfem_jax.description.tolerances.zones import CHARACTERISTICS, OF_DIRECTION, SpecifiedZone, is_zone
 
 COST_MODELS = ("reciprocal", "reciprocal_squared", "exponential")
 

@@ -7,7 +7,7 @@ Symbols: limits in the metric's own unit; quantiles and confidence [1].
 
 from dataclasses import dataclass, field
 
-from rfem_jax.description.errors import Checks, require_choice, require_flag
+from rfem_jax.description.basics.errors import Checks, require_choice, require_flag
 from rfem_jax.description.tasks.settings import (
     MOST_AT_ONCE,
     MOST_SAMPLES,

@@ -10,10 +10,11 @@ from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
-from rfem_jax.description.errors import Checks, InputError, require_choice
-from rfem_jax.description.mechanism import Mechanism
-from rfem_jax.description.metric_subjects import require_metric, subjects_of
-from rfem_jax.description.tables import keys_of
+from rfem_jax.description.basics.errors import Checks, InputError, require_choice
+from rfem_jax.description.basics.tables import keys_of
+from rfem_jax.description.basics.units import non_negative_quantity, positive_quantity
+from rfem_jax.description.mechanism.mechanism import Mechanism
+from rfem_jax.description.metrics.subjects import require_metric, subjects_of
 from rfem_jax.description.tasks.costs import (
     ErrorCost,
     complete_costs,
@@ -33,9 +34,8 @@ from rfem_jax.description.tasks.settings import (
     whole_number,
 )
 from rfem_jax.description.tasks.task import Task
-from rfem_jax.description.tolerances import SpecifiedTolerances
-from rfem_jax.description.units import non_negative_quantity, positive_quantity
-from rfem_jax.description.zones import SpecifiedZone
+from rfem_jax.description.tolerances.tolerances import SpecifiedTolerances
+from rfem_jax.description.tolerances.zones import SpecifiedZone
 
 COST = "cost"
 ROBUST = ("nominal", "worst_case", "rss", "yield")

@@ -11,7 +11,7 @@ Symbols: limits in the metric's own unit.
 
 from dataclasses import dataclass
 
-from rfem_jax.description.errors import Checks, InputError, require_choice
+from rfem_jax.description.basics.errors import Checks, InputError, require_choice
 from rfem_jax.description.tasks.settings import (
     MODES,
     MOST_AT_ONCE,

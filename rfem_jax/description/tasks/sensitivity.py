@@ -7,10 +7,10 @@ Symbols: the point `at` in rad and m (`error_catalogue`), or strings with a unit
 
 from dataclasses import dataclass, field
 
-from rfem_jax.description.errors import Checks, InputError, require_choice, require_flag
+from rfem_jax.description.basics.errors import Checks, InputError, require_choice, require_flag
 from rfem_jax.description.tasks.settings import MODES, MOST_AT_ONCE, convert_all, metric_names, whole_number
 from rfem_jax.description.tasks.task import Task
-from rfem_jax.description.tolerances import error_quantities
+from rfem_jax.description.tolerances.tolerances import error_quantities
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from rfem_jax.description.errors import Checks, InputError, Problems, require_choice
-from rfem_jax.description.metric_catalogue import kind_and_owner, never_negative, suggested_metric, unit_of
-from rfem_jax.description.units import DIMENSIONS, Quantity, quantity, short
+from rfem_jax.description.basics.errors import Checks, InputError, Problems, require_choice
+from rfem_jax.description.basics.units import DIMENSIONS, Quantity, quantity, short
+from rfem_jax.description.metrics.catalogue import kind_and_owner, never_negative, suggested_metric, unit_of
 
 MOST = 10**9  # of whole numbers without a bound of their own
 MOST_SAMPLES, MOST_AT_ONCE = 10**8, 10**5

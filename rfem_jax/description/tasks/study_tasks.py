@@ -7,11 +7,11 @@ its mechanism, `rfem_jax.report.tasks` does them. The kinds are those of `rfem_j
 from dataclasses import dataclass
 from typing import Any
 
-from rfem_jax.description.deviations import require_sizes
-from rfem_jax.description.errors import ChecksItself, InputError, Problems, suggestion
-from rfem_jax.description.mechanism import Mechanism
+from rfem_jax.description.basics.errors import ChecksItself, InputError, Problems, suggestion
+from rfem_jax.description.mechanism.mechanism import Mechanism
+from rfem_jax.description.parameters.deviations import require_sizes
 from rfem_jax.description.tasks.task import Task
-from rfem_jax.description.tolerances import SpecifiedTolerances, read_tolerances
+from rfem_jax.description.tolerances.tolerances import SpecifiedTolerances, read_tolerances
 from rfem_jax.task_kinds import task_kinds
 
 

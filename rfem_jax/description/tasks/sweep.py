@@ -8,7 +8,7 @@ Symbols: bounds and `at` in m and rad, or strings with a unit.
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from rfem_jax.description.errors import Checks, InputError, Problems, require_choice
+from rfem_jax.description.basics.errors import Checks, InputError, Problems, require_choice
 from rfem_jax.description.tasks.settings import (
     MOST_AT_ONCE,
     MOST_SAMPLES,
@@ -17,7 +17,7 @@ from rfem_jax.description.tasks.settings import (
     whole_number,
 )
 from rfem_jax.description.tasks.task import Task
-from rfem_jax.description.tolerances import SpecifiedTolerances, error_quantities
+from rfem_jax.description.tolerances.tolerances import SpecifiedTolerances, error_quantities
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,12 @@ from collections.abc import Collection
 from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar
 
-from rfem_jax.description.deviations import require_deviation, require_zone
-from rfem_jax.description.errors import ChecksItself, Problems
-from rfem_jax.description.mechanism import Mechanism
-from rfem_jax.description.metric_subjects import require_metric, subjects_of
-from rfem_jax.description.tables import build, checked_table, keys_of
-from rfem_jax.description.tolerances import SpecifiedTolerances
+from rfem_jax.description.basics.errors import ChecksItself, Problems
+from rfem_jax.description.basics.tables import build, checked_table, keys_of
+from rfem_jax.description.mechanism.mechanism import Mechanism
+from rfem_jax.description.metrics.subjects import require_metric, subjects_of
+from rfem_jax.description.parameters.deviations import require_deviation, require_zone
+from rfem_jax.description.tolerances.tolerances import SpecifiedTolerances
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ Place in the pipeline: task -> **worst_case** -> `rfem_jax.report.tasks.worst_ca
 
 from dataclasses import dataclass, field
 
-from rfem_jax.description.errors import Checks, require_choice, require_flag
+from rfem_jax.description.basics.errors import Checks, require_choice, require_flag
 from rfem_jax.description.tasks.settings import (
     MODES,
     MOST_AT_ONCE,

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.mechanics.forces.element_loads import FrameLoads, element_pose
 from rfem_jax.mechanics.kinematics.motion import Motion
 from rfem_jax.mechanics.laws.clearances import (

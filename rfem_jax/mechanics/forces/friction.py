@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Int
 
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.mechanics.algebra.vectors import Scalar, cross, dot, spatial
 from rfem_jax.mechanics.forces.joint_forces import CutForces, FrictionState, LawForces
 from rfem_jax.mechanics.kinematics.cut_joints import Closure

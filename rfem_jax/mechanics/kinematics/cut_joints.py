@@ -23,7 +23,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from rfem_jax.description.joint_kinds import KINDS, JointKind
+from rfem_jax.description.basics.joint_kinds import KINDS, JointKind
 from rfem_jax.mechanics.algebra import vectors
 from rfem_jax.mechanics.algebra.vectors import Scalar, apply, apply_transposed, cross, dot, product
 from rfem_jax.mechanics.kinematics.motion import Motion, node_frames

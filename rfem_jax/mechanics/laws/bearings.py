@@ -9,8 +9,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from rfem_jax.description.bearings import CAPACITIES, LIFE_EXPONENTS
-from rfem_jax.description.joints import Joint
+from rfem_jax.description.mechanism.bearings import CAPACITIES, LIFE_EXPONENTS
+from rfem_jax.description.mechanism.joints import Joint
 
 
 class BearingCapacity(eqx.Module):

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from rfem_jax.description.clearance import Clearance
+from rfem_jax.description.mechanism.clearance import Clearance
 from rfem_jax.mechanics.algebra.vectors import apply, apply_transposed, cross, dot
 from rfem_jax.mechanics.laws.contact_law import ContactLaw, Push, chi_of_restitution, distance, sliding_share
 from rfem_jax.mechanics.laws.frame_forces import FrameForce, NodeFrame, Pose, Time

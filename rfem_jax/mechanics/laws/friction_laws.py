@@ -12,10 +12,10 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import ArrayLike, Float
 
-from rfem_jax.description.forces import JointFriction
-from rfem_jax.description.joint_kinds import KINDS
-from rfem_jax.description.joints import Joint
-from rfem_jax.description.units import Quantity
+from rfem_jax.description.basics.joint_kinds import KINDS
+from rfem_jax.description.basics.units import Quantity
+from rfem_jax.description.mechanism.forces import JointFriction
+from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.mechanics.algebra.vectors import cross, dot
 
 SMALL_RATE = 1e-4  # over the sliding rate, below which tanh(x) / x is 1 - x^2 / 3

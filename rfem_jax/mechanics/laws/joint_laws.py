@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import ArrayLike, Float
 
-from rfem_jax.description.forces import JointForce, JointForceFunction, JointForceTable, JointSpring
+from rfem_jax.description.mechanism.forces import JointForce, JointForceFunction, JointForceTable, JointSpring
 from rfem_jax.mechanics.laws.friction_laws import Friction
 
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-from rfem_jax.description.compliance import SprungDirection
+from rfem_jax.description.mechanism.compliance import SprungDirection
 from rfem_jax.mechanics.algebra.vectors import Scalar
 
 SERIES = 1e-3  # of the squared sine, below which theta / sin(theta) is a power series

@@ -17,7 +17,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from rfem_jax.description.point_forces import (
+from rfem_jax.description.mechanism.point_forces import (
     AtPoint,
     BetweenPoints,
     PointMoment,

@@ -3,7 +3,8 @@
 model               Model, State, Coordinates, Topology; summary: a model in words
 building            description -> Model
 discretisation      its loops closed at the start, rank and mobility
-nominal_geometry    the perfect mechanism in NumPy: does it close, rank, mobility; nominal_path, start_freedoms, normal_loads
+nominal_geometry    the perfect mechanism in NumPy: does it close, rank, mobility; with nominal_path, start_freedoms,
+                    normal_loads
 with_errors         + AssemblyErrors -> constants of the equations of motion
 inputs              the drive at one instant
 orientations        coordinates that are quaternions

@@ -11,15 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from rfem_jax.description.errors import InputError
-from rfem_jax.description.forces import JointForce, JointFriction
-from rfem_jax.description.joint_kinds import KINDS, JointKind, compliant
-from rfem_jax.description.joints import Joint
-from rfem_jax.description.links import Link
-from rfem_jax.description.mechanism import EQUILIBRIUM, Mechanism
-from rfem_jax.description.numbers import Number, array_of, rotation_of_angles, traced
-from rfem_jax.description.parts import Parts, parts_of
-from rfem_jax.description.point_forces import AtPoint, BetweenPoints, PointLoad
+from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.basics.joint_kinds import KINDS, JointKind, compliant
+from rfem_jax.description.basics.numbers import Number, array_of, rotation_of_angles, traced
+from rfem_jax.description.mechanism.forces import JointForce, JointFriction
+from rfem_jax.description.mechanism.joints import Joint
+from rfem_jax.description.mechanism.links import Link
+from rfem_jax.description.mechanism.mechanism import EQUILIBRIUM, Mechanism
+from rfem_jax.description.mechanism.point_forces import AtPoint, BetweenPoints, PointLoad
+from rfem_jax.description.parameters.parts import Parts, parts_of
 from rfem_jax.mechanics.laws.bearings import bearing_capacities
 from rfem_jax.mechanics.laws.clearances import clearance_name, pin_in_bush
 from rfem_jax.mechanics.laws.frame_forces import FrameForce, NodeFrame

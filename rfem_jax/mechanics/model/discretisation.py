@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from rfem_jax.description.errors import InputError, require_choice
-from rfem_jax.description.mechanism import AS_GIVEN, ELEMENTS, EQUILIBRIUM, Mechanism
-from rfem_jax.description.precision import require_float64
+from rfem_jax.description.basics.errors import InputError, require_choice
+from rfem_jax.description.basics.precision import require_float64
+from rfem_jax.description.mechanism.mechanism import AS_GIVEN, ELEMENTS, EQUILIBRIUM, Mechanism
 from rfem_jax.mechanics.laws.joint_laws import holds
 from rfem_jax.mechanics.laws.point_laws import PointLaw
 from rfem_jax.mechanics.model.building import build_model

@@ -28,9 +28,9 @@ from jax.core import Tracer
 from jaxtyping import Float, Int
 
 from rfem_jax.compilation.naming import Names
-from rfem_jax.description.driven_motions import motion_label
-from rfem_jax.description.errors import InputError
-from rfem_jax.description.joint_kinds import COMPONENTS, KINDS, Freedom, JointKind, compliant
+from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.basics.joint_kinds import COMPONENTS, KINDS, Freedom, JointKind, compliant
+from rfem_jax.description.drives.driven_motions import motion_label
 from rfem_jax.mechanics.laws.bearings import BearingCapacity
 from rfem_jax.mechanics.laws.frame_forces import FrameForce
 from rfem_jax.mechanics.laws.friction_laws import Friction

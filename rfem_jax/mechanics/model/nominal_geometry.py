@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from rfem_jax.description.joint_kinds import JointKind
+from rfem_jax.description.basics.joint_kinds import JointKind
 from rfem_jax.mechanics.model.model import BASE, Model, Topology, rfe_fractions
 
 SMALLEST_SINGULAR_VALUE = 1e-6  # of rows with lengths over the longest link: what is below says nothing

@@ -10,7 +10,7 @@ axis, but not on a bearing's length.
 
 import numpy as np
 
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.mechanics.laws.friction_laws import Friction
 from rfem_jax.mechanics.model.model import BASE, Model, Topology
 from rfem_jax.mechanics.model.nominal_geometry import (

@@ -19,11 +19,19 @@ from jaxtyping import Array, Float
 
 from rfem_jax.compilation import keys
 from rfem_jax.compilation.naming import Names
-from rfem_jax.description.forces import Force
-from rfem_jax.description.numbers import Number, array_of
-from rfem_jax.description.parameters import ParameterNames, named_parameters
-from rfem_jax.description.parts import Parts, Path, number_at, renamed_parts, scaled, with_number, with_numbers
-from rfem_jax.description.sections import Tube
+from rfem_jax.description.basics.numbers import Number, array_of
+from rfem_jax.description.mechanism.forces import Force
+from rfem_jax.description.mechanism.sections import Tube
+from rfem_jax.description.parameters.parameters import ParameterNames, named_parameters
+from rfem_jax.description.parameters.parts import (
+    Parts,
+    Path,
+    number_at,
+    renamed_parts,
+    scaled,
+    with_number,
+    with_numbers,
+)
 
 ForceNodes = tuple[tuple[str, tuple[int, ...]], ...]
 # Of the longest link.  Overconstrained loops close only as well as their numbers were typed: with angles of six

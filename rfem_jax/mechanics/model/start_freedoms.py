@@ -16,7 +16,7 @@ from collections.abc import Iterable
 import numpy as np
 from jaxtyping import Bool, Float
 
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.mechanics.model.model import Model, Topology
 from rfem_jax.mechanics.model.nominal_geometry import closure_jacobian, geometry_of, null_space, place
 

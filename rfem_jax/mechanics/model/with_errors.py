@@ -20,9 +20,9 @@ from jax.core import Tracer
 from jaxtyping import ArrayLike, Bool, Float, Int
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.description.error_catalogue import error_dimension
-from rfem_jax.description.errors import InputError, suggestion
-from rfem_jax.description.units import quantity
+from rfem_jax.description.basics.errors import InputError, suggestion
+from rfem_jax.description.basics.units import quantity
+from rfem_jax.description.tolerances.error_catalogue import error_dimension
 from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.algebra import vectors
 from rfem_jax.mechanics.algebra.reordering import rows

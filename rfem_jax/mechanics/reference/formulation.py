@@ -21,7 +21,7 @@ from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from rfem_jax.description.joint_kinds import JointKind
+from rfem_jax.description.basics.joint_kinds import JointKind
 from rfem_jax.mechanics.algebra.vectors import Scalar, pseudo_inverse
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.forces.joint_forces import applied_forces, law_forces

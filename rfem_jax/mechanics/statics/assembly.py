@@ -24,8 +24,8 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import ArrayLike, Bool, Float, Int
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.description.errors import InputError, require_choice, suggestion
-from rfem_jax.description.mechanism import AS_GIVEN, EQUILIBRIUM, STARTS
+from rfem_jax.description.basics.errors import InputError, require_choice, suggestion
+from rfem_jax.description.mechanism.mechanism import AS_GIVEN, EQUILIBRIUM, STARTS
 from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.algebra.derivative_rules import implicit_function
 from rfem_jax.mechanics.algebra.vectors import Scalar, apply_transposed, cross, dot, solve_equations

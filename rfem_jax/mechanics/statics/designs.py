@@ -25,13 +25,13 @@ from jax.core import Tracer
 from jaxtyping import ArrayLike, Bool, Float, Int
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.description.drive_numbers import read_drive_number
-from rfem_jax.description.errors import InputError
-from rfem_jax.description.number_fields import ANY, POSITIVE, SIGN_WORDS
-from rfem_jax.description.parameters import Parameter, require_each_once
-from rfem_jax.description.parts import Parts
-from rfem_jax.description.sections import Tube
-from rfem_jax.description.study import Study
+from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.drives.numbers_by_name import read_drive_number
+from rfem_jax.description.mechanism.sections import Tube
+from rfem_jax.description.parameters.number_fields import ANY, POSITIVE, SIGN_WORDS
+from rfem_jax.description.parameters.parameters import Parameter, require_each_once
+from rfem_jax.description.parameters.parts import Parts
+from rfem_jax.description.study_file.study import Study
 from rfem_jax.mechanics.model.building import PartStructure, arrays_of
 from rfem_jax.mechanics.model.discretisation import discretise
 from rfem_jax.mechanics.model.model import BASE, Model, Topology, rfe_fractions

@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rfem_jax.description.study import Study
+from rfem_jax.description.study_file.study import Study
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.with_errors import AssemblyErrors
 from rfem_jax.report.annotations import Figure

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.description.deviations import deviation_unit
-from rfem_jax.description.study import Study
+from rfem_jax.description.parameters.deviations import deviation_unit
+from rfem_jax.description.study_file.study import Study
 from rfem_jax.labelled_data import column_name
 from rfem_jax.mechanics.dynamics.centre_lines import link_lines
 from rfem_jax.mechanics.model.model import Coordinates, Model

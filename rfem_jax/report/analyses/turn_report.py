@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.description.study import Study
+from rfem_jax.description.study_file.study import Study
 from rfem_jax.mechanics.forces.bush_contacts import CLOSED, CONTACT_NAMES, carrying
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.status import STATUS

@@ -84,8 +84,8 @@ def _of_one_revolution(study: Study) -> Study:
     """The study with the constant rate of its drive, over one revolution. Raises InputError."""
     import math
 
-    from rfem_jax.description.drives import PrescribedRate
-    from rfem_jax.description.errors import InputError
+    from rfem_jax.description.basics.errors import InputError
+    from rfem_jax.description.drives.rotations import PrescribedRate
 
     drive = study.designed_drive
     if not isinstance(drive, PrescribedRate) or float(drive.rate) == 0.0:
@@ -112,8 +112,8 @@ def _cycles(study: Study, tolerance: float, most: int) -> dict[str, Cycle]:
     import jax
     import numpy as np
 
-    from rfem_jax.description.drives import PrescribedRate
-    from rfem_jax.description.metric_catalogue import records_for
+    from rfem_jax.description.drives.rotations import PrescribedRate
+    from rfem_jax.description.metrics.catalogue import records_for
     from rfem_jax.mechanics.model.with_errors import assembly_errors
     from rfem_jax.simulation.cycle import steady_cycle
     from rfem_jax.simulation.specification import Simulation

@@ -13,7 +13,7 @@ from rfem_jax.report.console import work_begins
 def require_folder(out: str | Path) -> None:
     """See that a folder for the results can be made, without making it. Raises InputError."""
     if not str(out).strip():
-        from rfem_jax.description.errors import InputError
+        from rfem_jax.description.basics.errors import InputError
 
         raise InputError("Argument `--out` must name a folder, but is empty; write . for the current one.")
     folder = Path(out).absolute()
@@ -43,7 +43,7 @@ def open_folder(out: str | Path) -> Path:
 
 def cannot_write(folder: str | Path, problem: OSError) -> ValueError:
     """The InputError for a folder into which the results cannot be written."""
-    from rfem_jax.description.errors import InputError
+    from rfem_jax.description.basics.errors import InputError
 
     return InputError(
         f"Argument `--out` must be a folder that can be written, but {folder} is not "

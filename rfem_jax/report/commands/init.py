@@ -34,8 +34,8 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def act(arguments: argparse.Namespace) -> Answer:
     """Write the file and say what to do with it. Raises InputError."""
-    from rfem_jax.description.errors import InputError
-    from rfem_jax.description.schema import FILE, schema_text
+    from rfem_jax.description.basics.errors import InputError
+    from rfem_jax.description.study_file.schema import FILE, schema_text
 
     name = arguments.name
     path = Path(name if name.endswith(".toml") else f"{name}.toml")

@@ -1,6 +1,6 @@
 """`rfem-jax keys`: all keys of study files, and all metrics.
 
-Place in the pipeline: `rfem_jax.description.key_reference` -> `keys_text` -> **keys**.
+Place in the pipeline: `rfem_jax.description.study_file.key_reference` -> `keys_text` -> **keys**.
 """
 
 import argparse
@@ -40,7 +40,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     """Print the reference. Raises InputError."""
     from dataclasses import asdict
 
-    from rfem_jax.description.schema import schema_text, study_schema
+    from rfem_jax.description.study_file.schema import schema_text, study_schema
     from rfem_jax.report.keys_text import chosen_metrics, chosen_tables, reference_text
 
     if arguments.schema:

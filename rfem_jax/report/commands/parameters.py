@@ -31,9 +31,9 @@ def act(arguments: argparse.Namespace) -> Answer:
     """Print the table. Raises InputError."""
     study = read_study(arguments.study)
 
-    from rfem_jax.description.drive_numbers import drive_number_unit, drive_number_value, each_drive_number
-    from rfem_jax.description.parameters import parameters_of
-    from rfem_jax.description.parts import parts_of
+    from rfem_jax.description.drives.numbers_by_name import drive_number_unit, drive_number_value, each_drive_number
+    from rfem_jax.description.parameters.parameters import parameters_of
+    from rfem_jax.description.parameters.parts import parts_of
     from rfem_jax.report.tables import format_table
 
     parts = parts_of(study.mechanism)

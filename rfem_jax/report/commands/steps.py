@@ -28,7 +28,7 @@ def announce(stage: str, done: float | None = None) -> None:
 def read_study(path: str) -> Study:
     """The study of a file; remarks on numbers that most likely lack their unit. Raises InputError."""
     from rfem_jax.description import load_study
-    from rfem_jax.description.plausibility import doubtful_numbers
+    from rfem_jax.description.study_file.plausibility import doubtful_numbers
 
     announce(f"Reading {path}")
     study = load_study(path)
@@ -39,7 +39,7 @@ def read_study(path: str) -> Study:
 
 def discretise_study(study: Study) -> Model:
     """The model of the study's mechanism; what is wrong with it is said with the file's name."""
-    from rfem_jax.description.errors import located
+    from rfem_jax.description.basics.errors import located
     from rfem_jax.mechanics.statics.designs import model_of_study
 
     with located(f"Study file `{study.path}`"):
@@ -142,7 +142,7 @@ def timed(study: Study, task: str = "", left: str = "") -> Iterator[None]:
 def write_page(folder: Path) -> list[Path]:
     """Write the page of all results that the folder has; says which other file in it is damaged, and writes none then.
     Raises InputError."""
-    from rfem_jax.description.errors import InputError
+    from rfem_jax.description.basics.errors import InputError
     from rfem_jax.report.page.document import write_folder
 
     announce("Writing report.html")

@@ -74,7 +74,7 @@ def act(arguments: argparse.Namespace) -> Answer:
 
 def _position(text: str | None, name: str, model: Model) -> float | None:
     """A position of the first drive in rad or m, of a number or a string with a unit."""
-    from rfem_jax.description.units import quantity
+    from rfem_jax.description.basics.units import quantity
 
     if text is None:
         return None

@@ -10,8 +10,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from rfem_jax.description.error_catalogue import error_unit
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.tolerances.error_catalogue import error_unit
 from rfem_jax.report.page.animation import pack_animation, read_animation
 from rfem_jax.report.page.histories import pack_histories, read_table
 from rfem_jax.report.page.task_results import read_json, read_tasks

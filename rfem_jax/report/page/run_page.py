@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.mechanics.model.status import STATUS
 from rfem_jax.report.annotations import Run
 from rfem_jax.report.output import versions, without_nan

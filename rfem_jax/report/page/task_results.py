@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.report.output import without_nan
 from rfem_jax.report.page.histories import read_table
 from rfem_jax.report.page.packing import pack_floats, some_rows

@@ -16,10 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from rfem_jax.compilation.stages import on_stage
-from rfem_jax.description.deviations import deviation_unit
-from rfem_jax.description.error_catalogue import as_specified
-from rfem_jax.description.study import Study
+from rfem_jax.description.parameters.deviations import deviation_unit
+from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.allocation import AllocationTask, ErrorCost
+from rfem_jax.description.tolerances.error_catalogue import as_specified
 from rfem_jax.report.annotations import Axes, Figure
 from rfem_jax.report.output import write_csv
 from rfem_jax.report.overview import format_error

@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.compilation.stages import on_stage
-from rfem_jax.description.error_catalogue import as_specified
-from rfem_jax.description.metric_catalogue import kinked, only_at_start
-from rfem_jax.description.study import Study
+from rfem_jax.description.metrics.catalogue import kinked, only_at_start
+from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.sensitivity import SensitivityTask
+from rfem_jax.description.tolerances.error_catalogue import as_specified
 from rfem_jax.report.annotations import Figure
 from rfem_jax.report.output import write_csv
 from rfem_jax.report.style import BAR_COLOURS, HATCHES, add_titles, new_figure, panel_grid

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from jax.typing import ArrayLike
 
-from rfem_jax.description.study import Study
+from rfem_jax.description.study_file.study import Study
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.simulation import Simulation
 from rfem_jax.tolerancing.problems.simulated_problem import Problem

@@ -15,11 +15,11 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.compilation.stages import on_stage
-from rfem_jax.description.deviations import deviation_unit
-from rfem_jax.description.error_catalogue import as_specified
-from rfem_jax.description.errors import InputError
-from rfem_jax.description.study import Study
+from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.parameters.deviations import deviation_unit
+from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.sweep import SweepTask
+from rfem_jax.description.tolerances.error_catalogue import as_specified
 from rfem_jax.report.annotations import Axes, Figure
 from rfem_jax.report.output import write_csv
 from rfem_jax.report.overview import format_error

@@ -10,8 +10,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rfem_jax.description.metric_catalogue import notes_on
-from rfem_jax.description.study import Study
+from rfem_jax.description.metrics.catalogue import notes_on
+from rfem_jax.description.study_file.study import Study
 from rfem_jax.report.output import plain, write_json
 from rfem_jax.report.summary import study_note
 

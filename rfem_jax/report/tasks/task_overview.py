@@ -4,9 +4,9 @@ Place in the pipeline: after `load_study`; computes nothing. Errors in degrees a
 users write them; limits in units of their metrics.
 """
 
-from rfem_jax.description.deviations import deviation_unit
-from rfem_jax.description.study import Study
-from rfem_jax.description.tolerances import SpecifiedTolerances
+from rfem_jax.description.parameters.deviations import deviation_unit
+from rfem_jax.description.study_file.study import Study
+from rfem_jax.description.tolerances.tolerances import SpecifiedTolerances
 from rfem_jax.report.overview import format_error
 from rfem_jax.report.tables import format_table
 from rfem_jax.task_kinds import task_kinds

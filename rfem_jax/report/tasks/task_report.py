@@ -16,12 +16,12 @@ from typing import Any, Generic, TypeVar
 from jax.typing import ArrayLike
 
 from rfem_jax.compilation.stages import on_stage
-from rfem_jax.description.deviations import deviation_unit
-from rfem_jax.description.errors import InputError
-from rfem_jax.description.study import Study
+from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.parameters.deviations import deviation_unit
+from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.task import Task
-from rfem_jax.description.tolerances import SpecifiedTolerances
-from rfem_jax.description.zones import SpecifiedZone
+from rfem_jax.description.tolerances.tolerances import SpecifiedTolerances
+from rfem_jax.description.tolerances.zones import SpecifiedZone
 from rfem_jax.report.annotations import Figure
 from rfem_jax.report.overview import format_error
 from rfem_jax.report.pictures import write_pictures

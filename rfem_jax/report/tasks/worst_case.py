@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from rfem_jax.compilation.stages import on_stage
-from rfem_jax.description.study import Study
+from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.worst_case import WorstCaseTask
 from rfem_jax.report.annotations import Figure
 from rfem_jax.report.output import write_csv

@@ -22,8 +22,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from rfem_jax.description.errors import InputError, require_choice
-from rfem_jax.description.precision import require_float64
+from rfem_jax.description.basics.errors import InputError, require_choice
+from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.text_layout import align_columns, wrap_lines
 from rfem_jax.tolerancing.allocation.cost_models import CostModel
 from rfem_jax.tolerancing.allocation.models import Answer, Verified

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.tolerancing.allocation.cost_models import CostModel, assign_costs
 from rfem_jax.tolerancing.allocation.models import Quadratic
 from rfem_jax.tolerancing.checks import ErrorValues, error_value, read_limits

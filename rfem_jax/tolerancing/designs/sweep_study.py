@@ -16,8 +16,8 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from rfem_jax.description.errors import InputError, require_choice
-from rfem_jax.description.precision import require_float64
+from rfem_jax.description.basics.errors import InputError, require_choice
+from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.description.tasks.settings import MOST_SAMPLES, whole_number
 from rfem_jax.labelled_data import DataFrame, column_name, frame
 from rfem_jax.text_layout import align_columns, wrap_lines

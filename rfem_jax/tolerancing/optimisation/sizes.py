@@ -21,10 +21,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg import block_diag
 
-from rfem_jax.description.errors import InputError, suggestion
-from rfem_jax.description.study import Study
-from rfem_jax.description.tolerances import SpecifiedTolerances
-from rfem_jax.description.zones import CHARACTERISTICS, SpecifiedZone, is_zone
+from rfem_jax.description.basics.errors import InputError, suggestion
+from rfem_jax.description.study_file.study import Study
+from rfem_jax.description.tolerances.tolerances import SpecifiedTolerances
+from rfem_jax.description.tolerances.zones import CHARACTERISTICS, SpecifiedZone, is_zone
 from rfem_jax.tolerancing.optimisation.starting_points import Region, spread_points
 from rfem_jax.tolerancing.problems.distributions import Tolerance, Uniform
 from rfem_jax.tolerancing.problems.joint_distributions import Zone

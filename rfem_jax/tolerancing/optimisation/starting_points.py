@@ -25,7 +25,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.stats import chi, norm, qmc
 
-from rfem_jax.description.errors import InputError, require_choice
+from rfem_jax.description.basics.errors import InputError, require_choice
 from rfem_jax.tolerancing.checks import ErrorValues
 from rfem_jax.tolerancing.optimisation.projected_gradient import Point, climb, project_ball, project_box
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances

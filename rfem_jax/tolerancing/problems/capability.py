@@ -11,7 +11,7 @@ Source: ISO 22514-2:2017, Statistical methods in process management, part 2 (for
 import jax.core
 from jaxtyping import Array, Float
 
-from rfem_jax.description.errors import InputError, require_choice
+from rfem_jax.description.basics.errors import InputError, require_choice
 
 SIDES = ("upper", "lower")
 

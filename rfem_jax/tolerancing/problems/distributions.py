@@ -28,8 +28,8 @@ from jax.scipy.special import erf, ndtr, ndtri
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from rfem_jax.description.errors import InputError
-from rfem_jax.description.precision import require_float64
+from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.tolerancing.checks import parse_error
 from rfem_jax.tolerancing.problems.capability import mean_shift
 from rfem_jax.tolerancing.problems.joint_distributions import checked_number

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.tolerancing.checks import ErrorValues, check_known, error_value
 from rfem_jax.tolerancing.problems.kept_evaluations import remembered
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances

@@ -34,7 +34,7 @@ from jaxtyping import Float
 
 from rfem_jax.compilation import keys
 from rfem_jax.compilation.program import Program
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.kernels import expecting
 from rfem_jax.tolerancing.problems import sharing
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances

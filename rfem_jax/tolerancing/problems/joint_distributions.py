@@ -24,8 +24,8 @@ from jax.scipy.special import gammainc, gammaln, ndtri
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from rfem_jax.description.errors import InputError
-from rfem_jax.description.precision import require_float64
+from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.basics.precision import require_float64
 
 NEAR = 1e-2  # of |w|^2/2: below it a power series of P is exact to rounding
 

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.tolerancing.problems.evaluation import map_chunks, run_in_chunks
 from rfem_jax.tolerancing.problems.problem import Status, ToleranceProblem, of_any_step
 from rfem_jax.tolerancing.problems.sample_values import (

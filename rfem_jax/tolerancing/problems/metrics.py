@@ -2,15 +2,13 @@
 
 Place in the pipeline: Run -> **metric** -> Problem.
 
-`rfem_jax.description.metric_catalogue` holds the kinds of metrics that names stand for. `register_metric`, which is
+`rfem_jax.description.metrics.catalogue` holds the kinds of metrics that names stand for. `register_metric`, which is
 imported from there, adds a kind of your own; a metric that needs no name of its own in study files is a `Metric` with
 a function.
 """
 
-from rfem_jax.description.design_metrics import STRESS_POWER
-from rfem_jax.description.design_metrics import peak_stress as stress_norm
-from rfem_jax.description.errors import InputError
-from rfem_jax.description.metric_catalogue import (
+from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.metrics.catalogue import (
     PEAK_POWER,
     MetricKind,
     kind_and_owner,
@@ -18,6 +16,8 @@ from rfem_jax.description.metric_catalogue import (
     register_metric,
     suggested_metric,
 )
+from rfem_jax.description.metrics.design_metrics import STRESS_POWER
+from rfem_jax.description.metrics.design_metrics import peak_stress as stress_norm
 from rfem_jax.tolerancing.problems.problem import Metric
 
 __all__ = ["Metric", "end_angle", "metric", "peak_force", "peak_moment", "peak_stress", "register_metric"]

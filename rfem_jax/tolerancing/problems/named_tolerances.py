@@ -15,9 +15,9 @@ import jax.scipy.linalg
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from rfem_jax.description.errors import InputError
-from rfem_jax.description.study import Study
-from rfem_jax.description.tolerances import SpecifiedTolerance, SpecifiedTolerances
+from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.study_file.study import Study
+from rfem_jax.description.tolerances.tolerances import SpecifiedTolerance, SpecifiedTolerances
 from rfem_jax.tolerancing.checks import DIMENSIONS, check_known
 from rfem_jax.tolerancing.problems.distributions import DISTRIBUTIONS, ProcessNormal, Tolerance
 from rfem_jax.tolerancing.problems.joint_distributions import CorrelatedNormal, Zone, checked_number

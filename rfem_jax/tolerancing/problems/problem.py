@@ -26,7 +26,7 @@ from jaxtyping import Array, Float, Int
 
 from rfem_jax.compilation import keys
 from rfem_jax.compilation.naming import Names, NotRenamable
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.tolerancing.checks import DIMENSIONS, check_distinct, check_known
 
 Values = dict[str, Float[Array, ""]]

@@ -25,8 +25,8 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.description.errors import InputError
-from rfem_jax.description.precision import require_float64
+from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.tolerancing.checks import ErrorValues, check_known
 from rfem_jax.tolerancing.problems.evaluation import (
     select_half_widths,

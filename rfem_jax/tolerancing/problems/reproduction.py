@@ -13,7 +13,7 @@ from typing import TypeGuard
 import numpy as np
 from jaxtyping import Float
 
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.tolerancing.problems.linearisation import linearise_points
 from rfem_jax.tolerancing.problems.problem import StrikingProblem, ToleranceProblem
 from rfem_jax.tolerancing.problems.sample_values import Base

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.whole_files import UNFINISHED, remove_abandoned, write_whole
 
 MANIFEST, DESCRIPTION = "manifest.json", "description"

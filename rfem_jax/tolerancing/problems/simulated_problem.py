@@ -19,14 +19,14 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.description.drive_numbers import drive_number_unit
-from rfem_jax.description.driven_motions import Drive
-from rfem_jax.description.error_catalogue import error_unit
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.basics.precision import require_float64
+from rfem_jax.description.drives.driven_motions import Drive
+from rfem_jax.description.drives.numbers_by_name import drive_number_unit
 from rfem_jax.description.methods import GeneralisedAlpha, Method
-from rfem_jax.description.metric_catalogue import kind_and_owner, only_at_start
-from rfem_jax.description.metric_subjects import JointSubject, LinkSubject, MetricSubjects, require_metric
-from rfem_jax.description.precision import require_float64
+from rfem_jax.description.metrics.catalogue import kind_and_owner, only_at_start
+from rfem_jax.description.metrics.subjects import JointSubject, LinkSubject, MetricSubjects, require_metric
+from rfem_jax.description.tolerances.error_catalogue import error_unit
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.status import PAST_LIMIT, STATUS
 from rfem_jax.mechanics.model.with_errors import AssemblyErrors, assembly_errors

@@ -17,9 +17,9 @@ import jax
 import numpy as np
 from scipy import stats
 
-from rfem_jax.description.errors import InputError
-from rfem_jax.description.precision import require_float64
-from rfem_jax.description.study import Study
+from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.basics.precision import require_float64
+from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.settings import whole_number
 from rfem_jax.tolerancing.checks import check_known, read_limits
 from rfem_jax.tolerancing.problems.linearisation import choose_mode

@@ -9,7 +9,7 @@ from 0 to 1 go from the least f to the least g.  Points of the front in a dent o
 
 from collections.abc import Callable, Mapping, Sequence
 
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.tolerancing.robust_design.result import DesignOptimum
 
 WEIGHTS = (0.0, 0.25, 0.5, 0.75, 1.0)

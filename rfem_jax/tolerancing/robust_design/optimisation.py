@@ -24,8 +24,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.description.errors import InputError, require_choice
-from rfem_jax.description.precision import require_float64
+from rfem_jax.description.basics.errors import InputError, require_choice
+from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.tolerancing.allocation.cost_models import CostModel, total_cost
 from rfem_jax.tolerancing.checks import ErrorValue
 from rfem_jax.tolerancing.layout import show_number

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.tolerancing.allocation.cost_models import CostModel, assign_costs
 from rfem_jax.tolerancing.checks import ErrorValue, check_known, error_value, read_limits
 from rfem_jax.tolerancing.optimisation.sizes import Zones, sizes_of

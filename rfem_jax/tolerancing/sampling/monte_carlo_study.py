@@ -24,9 +24,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.description.errors import InputError, require_flag
-from rfem_jax.description.precision import require_float64
-from rfem_jax.description.study import Study
+from rfem_jax.description.basics.errors import InputError, require_flag
+from rfem_jax.description.basics.precision import require_float64
+from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.settings import whole_number
 from rfem_jax.tolerancing.checks import check_known, read_limits
 from rfem_jax.tolerancing.problems.evaluation import describe_status

@@ -27,7 +27,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key, UInt32
 from scipy.stats import qmc
 
-from rfem_jax.description.errors import InputError, require_choice
+from rfem_jax.description.basics.errors import InputError, require_choice
 
 SAMPLINGS = ("sobol", "pseudo_random")
 SOBOL_BITS = 52

@@ -39,7 +39,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import stats
 
-from rfem_jax.description.errors import InputError
+from rfem_jax.description.basics.errors import InputError
 
 FOLDS = 10
 RESAMPLES = 500

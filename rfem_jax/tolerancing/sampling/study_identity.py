@@ -14,7 +14,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from rfem_jax.description.study import Study
+from rfem_jax.description.study_file.study import Study
 from rfem_jax.tolerancing.problems.execution import fingerprint_problem
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances, distributions_of
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem

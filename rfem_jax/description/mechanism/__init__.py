@@ -1,0 +1,7 @@
+"""What a mechanism is made of.
+
+materials, sections, rigid_bodies, links
+joints                     with their bearings, compliance and clearance
+forces, point_forces       springs, dampers, friction and forces in joints, and at points
+mechanism                  all of these together
+"""

@@ -1,0 +1,276 @@
+"""Joints of several kinds between a parent (a link or the base) and a child link.
+
+Place in the pipeline: joints connect the links of a mechanism; cut joints close its loops.
+
+Frames: `position` and `orientation` place the joint's nominal frame F in the parent's frame (the
+global frame for the base; the link frame, x along the beam, for a link); `child_position` and
+`child_orientation` place the joint in the child's link frame. R = R_z R_y R_x.
+Source: theory (2.3) to (2.6), (2.14) to (2.16).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError, require_flag, require_name
+from rfem_jax.description.basics.joint_kinds import DEFAULT, KINDS, JointKind, require_kind
+from rfem_jax.description.basics.numbers import Number
+from rfem_jax.description.basics.units import quantity, vector
+from rfem_jax.description.mechanism.bearings import Bearing, bearing_of
+from rfem_jax.description.mechanism.clearance import Clearance, clearance_of
+from rfem_jax.description.mechanism.compliance import Compliance, SprungDirection
+
+
+@dataclass(frozen=True)
+class Joint(ChecksItself):
+    """A joint that lets its child move relative to its parent as its kind says.
+
+    Args:
+        name: a word.
+        parent: "base" or the name of a link.
+        child: the name of a link other than the parent.
+        position: (x, y, z) [m] in the parent's frame; None = the base's origin, or the link's end.
+        orientation: angles (about x, y, z) [rad] in the parent's frame, R = R_z R_y R_x.
+        child_position: (x, y, z) [m] in the child's frame; None = the child's origin for a joint of
+            the tree, its far end for a cut joint.
+        child_orientation: angles (about x, y, z) [rad] in the child's frame.
+        angle: approximate start value [rad] of the angle of a kind that has one; a joint of the tree
+            only, where None means 0 (a cut joint keeps None).
+        cut: True if the joint closes a loop and is expressed by constraint equations.
+        kind: "revolute" (about y), "prismatic" (along x), "cylindrical" (about and along y), "universal"
+            (about the parent's y, then the child's z), "spherical", "planar" (along x and z, about y),
+            "fixed" or "free".
+        displacement: approximate start value [m] of the displacement of a kind that has one, as `angle`.
+        start: approximate start values of a kind with several angles or displacements, in the order of
+            its motions (universal: 2 angles; planar: x, z, angle; spherical: angles about x, y, z of
+            R_z R_y R_x; free: x, y, z and these angles); None means zeros.
+        compliance: springs and dampers in directions that the kind holds, a `Compliance`; None = rigid. All
+            start values, errors and angles are those of the kind without springs.
+        rate: initial rate [rad/s] of the angle of a kind that has one, of a simulation that starts as given; a joint of
+            the tree only, whose angle no drive prescribes and no other joint determines. None: it follows from the
+            rates of other joints, or is zero.
+        speed: initial speed [m/s] of the displacement of a kind that has one, as `rate`.
+        rates: initial rates of a kind with several angles or displacements, in the order of `start`, as `rate`;
+            of a spherical or free joint the angular velocity about x, y, z of the joint's frame in its parent. Zeros
+            may be of motions that follow from others.
+        clearance: the play of the pin of a revolute joint in its bush, a `Clearance`, in the place of a compliance;
+            None = none. Start values, errors and the angle are those of the joint without play.
+        bearing: what it carries, a `Bearing`, for metrics of life and of loads against capacities; None = unknown.
+    Raises:
+        InputError: a value is out of range or of the wrong kind.
+    """
+
+    name: str
+    parent: str
+    child: str
+    position: tuple[float, float, float] | None = None
+    orientation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    child_position: tuple[float, float, float] | None = None
+    child_orientation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    angle: float | None = None
+    cut: bool = False
+    kind: str = DEFAULT
+    displacement: float | None = None
+    start: tuple[float, ...] | None = None
+    compliance: Compliance | None = None
+    bearing: Bearing | None = None
+    clearance: Clearance | None = None
+    rate: float | None = None
+    speed: float | None = None
+    rates: tuple[float, ...] | None = None
+
+    def _check_fields(self, checks: Checks) -> None:
+        checks.convert("name", require_name, "`name` of a joint")
+        of = f"of joint `{self.name}`"
+        checks.convert("kind", _kind_name, f"`kind` {of}")
+        checks.convert("parent", require_name, f"`parent` {of}")
+        checks.convert("child", _child, of)
+        checks.relation(("parent", "child"), self._check_child, of)
+        checks.convert("cut", require_flag, f"`cut` {of}")
+        for field, dimension in _VECTORS.items():
+            checks.convert(field, _vector, dimension, f"`{field}` {of}")
+        for field, dimension in {**_STARTS, **_RATES}.items():
+            if getattr(self, field) is not None:
+                checks.convert(field, quantity, dimension, f"`{field}` {of}")
+        checks.relation(("kind", "cut"), self._check_cut, of)
+        if checks.passed("kind", "cut"):
+            self._set_start(checks, of)
+            self._check_rates(checks, of)
+        if self.compliance is not None:
+            checks.convert("compliance", _compliance, f"`compliance` {of}")
+            checks.relation(("kind", "cut", "compliance"), lambda: self.springs)
+        if self.clearance is not None:
+            checks.convert("clearance", clearance_of, f"`clearance` {of}")
+            checks.relation(("kind", "compliance", "clearance"), self._check_clearance, of)
+        if self.bearing is not None:
+            checks.convert("bearing", bearing_of, f"`bearing` {of}")
+
+    @property
+    def springs(self) -> tuple[SprungDirection, ...]:
+        """The springs of a compliant joint, in SI units."""
+        if self.compliance is None:
+            return ()
+        return self.compliance.springs(KINDS[self.kind], self.cut, f"of joint `{self.name}`")
+
+    @property
+    def sprung(self) -> tuple[str, ...]:
+        """Motions that the kind holds and that are sprung; with a clearance, whose contacts hold it, all of these."""
+        if self.clearance is not None:
+            kind = KINDS[self.kind]
+            return (*(motion for motion in kind.directions if motion[0] == "T"), *kind.directions["tilt"])
+        return tuple(motion for spring in self.springs for motion in spring.motions)
+
+    def _check_clearance(self, of: str) -> None:
+        if self.kind != "revolute":
+            raise InputError(
+                f"Argument `clearance` {of} must be left out because the joint is {self.kind}, but was given; a pin in "
+                "a bush is a revolute joint: remove it, or change the kind."
+            )
+        if self.compliance is not None:
+            raise InputError(
+                f"Argument `clearance` {of} must be given or else `compliance`, but both are; the contacts of the "
+                "clearance have stiffnesses of their own: remove the compliance."
+            )
+
+    def _check_child(self, of: str) -> None:
+        if self.parent == self.child:
+            raise InputError(
+                f"Argument `child` {of} must differ from its parent, but both are "
+                f"`{self.child}`; name the two links that it joins."
+            )
+
+    def _check_cut(self, of: str) -> None:
+        if self.cut and KINDS[self.kind].constraints == 0:
+            raise InputError(
+                f'Argument `kind` {of} must be another than "free" because the joint is cut, but was '
+                '"free"; it would not join anything: leave the joint out.'
+            )
+
+    @property
+    def start_values(self) -> tuple[Number, ...]:
+        """Approximate start values of all coordinates of a joint of the tree, in the order of its motions."""
+        kind = KINDS[self.kind]
+        if _has_names(kind):
+            given = [self.angle if one.rotation else self.displacement for one in kind.freedoms]
+            return tuple(0.0 if value is None else value for value in given)
+        return self.start or (0.0,) * len(kind.freedoms)
+
+    def _set_start(self, checks: Checks, of: str) -> None:
+        """Check `angle`, `displacement` and `start`, and set those that the kind has and that were left out."""
+        kind = KINDS[self.kind]
+        counts = {"angle": kind.angles, "displacement": kind.displacements}
+        named = _has_names(kind)
+        wanted = {field for field, count in counts.items() if count == 1} if named else {"start"}
+        for field in ("angle", "displacement", "start"):
+            value = getattr(self, field)
+            if self.cut or field not in wanted:
+                if value is not None:
+                    checks.relation((field,), self._refuse_start, of, kind, field, value, sorted(wanted))
+            elif field == "start":
+                zeros = (0.0,) * len(kind.freedoms)
+                checks.set(field, zeros if value is None else value, _start_values, kind, of)
+            elif value is None:
+                object.__setattr__(self, field, 0.0)
+
+    def _check_rates(self, checks: Checks, of: str) -> None:
+        """Check `rate`, `speed` and `rates`: those that the kind has, of a joint of the tree."""
+        kind = KINDS[self.kind]
+        counts = {"rate": kind.angles, "speed": kind.displacements}
+        wanted = {field for field, count in counts.items() if count == 1} if _has_names(kind) else {"rates"}
+        for field in ("rate", "speed", "rates"):
+            value = getattr(self, field)
+            if value is not None and (self.cut or field not in wanted):
+                checks.relation((field,), self._refuse_start, of, kind, field, value, sorted(wanted))
+            elif value is not None and field == "rates":
+                checks.set(field, value, _rates, kind, of)
+
+    @property
+    def start_rates(self) -> tuple[Number | None, ...]:
+        """Initial rates of all coordinates of a joint of the tree, in the order of its motions; None: not given."""
+        kind = KINDS[self.kind]
+        if _has_names(kind):
+            return tuple(self.rate if one.rotation else self.speed for one in kind.freedoms)
+        return self.rates or (None,) * len(kind.freedoms)
+
+    def require_no_rate(self, motion: str) -> None:
+        """Raise InputError if an initial rate is given of a motion that a drive prescribes."""
+        kind = KINDS[self.kind]
+        if self.start_rates[kind.motions.index(motion)] not in (None, 0.0):
+            raise InputError(
+                f"Argument `{self.rate_field(motion.startswith('R'))}` of joint `{self.name}` must be left out where a "
+                "drive prescribes this motion, and with it its rate, but was given; remove one of the two."
+            )
+
+    def rate_field(self, rotation: bool) -> str:
+        """Name of the argument with the initial rate of a rotation or translation."""
+        return ("rate" if rotation else "speed") if _has_names(KINDS[self.kind]) else "rates"
+
+    def _refuse_start(self, of: str, kind: JointKind, field: str, value: object, wanted: Sequence[str]) -> None:
+        if self.cut:
+            reason, fix = "the joint is cut", f"a cut joint's {field} follows from closing the loop."
+        else:
+            reason = f"the joint is {kind.name}"
+            fix = f"give {' and '.join(f'`{name}`' for name in wanted)}." if wanted else "it has no coordinate."
+        raise InputError(f"Argument `{field}` {of} must be left out because {reason}, but was {value!r}; {fix}")
+
+
+def _has_names(kind: JointKind) -> bool:
+    """Whether the start of a kind is an angle, a displacement or both, and not a list."""
+    return kind.angles <= 1 and kind.displacements <= 1
+
+
+def _start_values(values: object, kind: JointKind, of: str) -> tuple[float, ...]:
+    """A list of as many quantities as the kind has coordinates, each of its dimension."""
+    return _of_each(values, kind, f"`start` {of}", [one.dimension for one in kind.freedoms])
+
+
+def _rates(values: object, kind: JointKind, of: str) -> tuple[float, ...]:
+    """A list of as many rates and speeds as the kind has coordinates."""
+    return _of_each(values, kind, f"`rates` {of}", ["rate" if one.rotation else "speed" for one in kind.freedoms])
+
+
+def _of_each(values: object, kind: JointKind, where: str, dimensions: Sequence[str]) -> tuple[float, ...]:
+    freedoms = kind.freedoms
+    if not isinstance(values, (list, tuple)) or len(values) != len(freedoms):
+        raise InputError(
+            f"Argument {where} must be a list of {len(freedoms)} numbers because the joint is {kind.name}, but was "
+            f"{values!r}; write for example {[0.0] * len(freedoms)}."
+        )
+    entries = zip(values, dimensions, strict=True)
+    return tuple(quantity(value, one, f"{where} (entry {n})") for n, (value, one) in enumerate(entries, 1))
+
+
+def _kind_name(kind: object, where: str) -> str:
+    return require_kind(kind, where).name
+
+
+def _compliance(compliance: object, where: str) -> Compliance:
+    if not isinstance(compliance, Compliance):
+        raise InputError(
+            f'Argument {where} must be a Compliance, but was {compliance!r}; write Compliance(radial="1e8 N/m").'
+        )
+    return compliance
+
+
+def _child(child: object, of: str) -> str:
+    if child == "base":
+        raise InputError(
+            f"Argument `child` {of} must be a link, but was the base; make the base the parent and the link the child."
+        )
+    return require_name(child, f"`child` {of}")
+
+
+def _vector(value: Any, dimension: str, where: str) -> tuple[float, float, float] | None:
+    if value is None:
+        return (0.0, 0.0, 0.0) if dimension == "angle" else None
+    return vector(value, dimension, where)
+
+
+_STARTS = {"angle": "angle", "displacement": "length"}
+_RATES = {"rate": "rate", "speed": "speed"}
+_VECTORS = {
+    "position": "length",
+    "orientation": "angle",
+    "child_position": "length",
+    "child_orientation": "angle",
+}

@@ -1,0 +1,208 @@
+"""Links: flexible beams or rigid ones along their local x axis, or rigid bodies, with point masses on them.
+
+Place in the pipeline: a mechanism is links joined by joints; `mechanics` divides a flexible link
+into rigid finite elements (rfes).
+
+Symbols: length L [m], from joint to joint; rfes n [1], m = n - 1 spring-damping elements per link.
+Source: theory (1.3) to (1.6).
+"""
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError, require_flag, require_name
+from rfem_jax.description.basics.numbers import Number
+from rfem_jax.description.basics.units import non_negative_quantity, positive_quantity, quantity, short, vector
+from rfem_jax.description.mechanism.materials import Material
+from rfem_jax.description.mechanism.rigid_bodies import RigidBody
+from rfem_jax.description.mechanism.sections import (
+    Circle,
+    GivenSection,
+    Rectangle,
+    Section,
+    SectionProperties,
+    Tube,
+    require_triangle,
+)
+
+MOST_RFES = 1000
+_USUAL_RFES = 5
+
+
+@dataclass(frozen=True)
+class PointMass(ChecksItself):
+    """A mass fixed on a link (a bearing, a pin).
+
+    Args:
+        mass: [kg], > 0.
+        position: (x, y, z) [m] in the link frame; a single number x means on the axis.
+        inertia: principal moments of inertia about the link's axes through its centre [kg m^2].
+    """
+
+    mass: float
+    position: tuple[float, float, float]
+    inertia: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def _check_fields(self, checks: Checks) -> None:
+        checks.convert("mass", positive_quantity, "mass", "`mass` of a point mass")
+        checks.convert("position", place_on_link, "`position` of a point mass")
+        checks.convert("inertia", _inertia, "`inertia` of a point mass")
+
+
+def place_on_link(place: Any, where: str) -> tuple[float, float, float]:
+    """Return a place in the frame of a link as floats [m]; else raise InputError.  A single number is x on the axis."""
+    if isinstance(place, (list, tuple)) or getattr(place, "ndim", 0):
+        return vector(place, "length", where)
+    return quantity(place, "length", where), 0.0, 0.0  # a number: on the axis
+
+
+def _inertia(inertia: Any, where: str) -> tuple[float, float, float]:
+    principal = vector(inertia, "moment_of_inertia", where)
+    for entry in principal:
+        non_negative_quantity(entry, "moment_of_inertia", where)
+    require_triangle(principal, where)
+    return principal
+
+
+@dataclass(frozen=True)
+class Link(ChecksItself):
+    """A rigid or flexible link; its frame has x along the beam and its origin at its start.
+
+    Args:
+        name: a word, other than "base".
+        length: L [m], > 0.
+        section: Rectangle, Circle, Tube or GivenSection (a rigid link needs it for its mass, unless it has a body).
+        material: a Material; None with a GivenSection.
+        rigid: True makes the link one rigid body.
+        rfes: number n of rigid finite elements of a flexible link; 1 is the same as rigid.
+        point_masses: PointMass objects on the link.
+        body: a RigidBody in the place of section and material; the link is rigid.
+    Raises:
+        InputError: a value is out of range or of the wrong kind.
+    """
+
+    name: str
+    length: float
+    section: Section | None = None
+    material: Material | None = None
+    rigid: bool = False
+    rfes: int = _USUAL_RFES
+    point_masses: tuple[PointMass, ...] = ()
+    body: RigidBody | None = None
+
+    def _check_fields(self, checks: Checks) -> None:
+        checks.convert("name", require_name, "`name` of a link", ("base",))
+        of = f"of link `{self.name}`"
+        checks.convert("length", positive_quantity, "length", f"`length` {of}")
+        checks.convert("body", _body, of)
+        if self.body is None:
+            checks.convert("section", _section, of)
+            checks.relation(("section", "material"), self._check_material, of)
+        else:
+            checks.relation(("section", "material", "body"), self._check_body, of)
+        checks.convert("rigid", require_flag, f"`rigid` {of}")
+        checks.convert("rfes", _number_of_rfes, of)
+        checks.convert("point_masses", _masses, of)
+        for entry in self.point_masses if checks.passed("point_masses") else ():
+            checks.relation(("length", "rigid", "rfes"), self._check_point_mass, entry, of)
+
+    def _check_material(self, of: str) -> None:
+        if isinstance(self.section, GivenSection):
+            if self.material is not None:
+                raise InputError(
+                    f"Argument `material` {of} must be left out where the section gives its own "
+                    "stiffnesses, but a material was given; remove it."
+                )
+        elif not isinstance(self.material, Material):
+            raise InputError(
+                f"Argument `material` {of} must be a Material, but was {self.material!r}; "
+                "a section needs one for its stiffness and its mass."
+            )
+
+    def _check_body(self, of: str) -> None:
+        for field in ("section", "material"):
+            if getattr(self, field) is not None:
+                raise InputError(
+                    f"Argument `{field}` {of} must be left out where the link has a body, but was given; remove one "
+                    "of the two."
+                )
+        if self.rfes not in (1, _USUAL_RFES):
+            raise InputError(
+                f"Argument `rfes` {of} must be left out where the link has a body, which is rigid, but was "
+                f"{self.rfes!r}; remove it, or give a section and a material."
+            )
+
+    def _check_point_mass(self, mass: PointMass, of: str) -> None:
+        if self.flexible and not 0.0 <= mass.position[0] <= self.length * (1.0 + 1e-12):
+            raise InputError(
+                f"Argument `point_masses` {of} must lie on the flexible link "
+                f"(x from 0 to {self.length} m), but one has x = {mass.position[0]} m; "
+                "move it, or make the link rigid."
+            )
+
+    @property
+    def elements(self) -> int:
+        """Number of rigid finite elements; 1 for a rigid link."""
+        return 1 if self.rigid or self.body is not None else self.rfes
+
+    @property
+    def flexible(self) -> bool:
+        """True if the link has spring-damping elements (two rfes or more)."""
+        return self.elements > 1
+
+    @property
+    def properties(self) -> SectionProperties:
+        """Stiffnesses, inertias and damping per unit length, zeros of a body."""
+        if self.section is None:
+            return SectionProperties(**dict.fromkeys((field.name for field in fields(SectionProperties)), 0.0))
+        return self.section.properties(self.material)
+
+    @property
+    def mass(self) -> Number:
+        """All mass [kg], that of point masses included."""
+        own = self.properties.line_density * self.length if self.body is None else self.body.mass
+        return own + sum(point.mass for point in self.point_masses)
+
+
+def _section(section: Any, of: str) -> Section:
+    if not isinstance(section, (Rectangle, Circle, Tube, GivenSection)):
+        raise InputError(
+            f"Argument `section` {of} must be a Rectangle, Circle, Tube or GivenSection, "
+            f"but was {section!r}; give a rigid link one too, for its mass, or a `body`."
+        )
+    return section
+
+
+def _body(body: Any, of: str) -> RigidBody | None:
+    if body is not None and not isinstance(body, RigidBody):
+        raise InputError(
+            f"Argument `body` {of} must be a RigidBody, but was {body!r}; write for example "
+            "RigidBody(0.5, (0.05, 0.0, 0.0), (1e-4, 3e-4, 3e-4))."
+        )
+    return body
+
+
+def _number_of_rfes(rfes: Any, of: str) -> int:
+    whole = isinstance(rfes, (int, np.integer)) and not isinstance(rfes, bool)
+    if not whole or rfes < 1:
+        raise InputError(
+            f"Argument `rfes` {of} must be a whole number of at least 1, but was "
+            f"{rfes!r}; 5 is usual, 1 makes the link rigid."
+        )
+    if rfes > MOST_RFES:
+        raise InputError(
+            f"Argument `rfes` {of} must be at most {MOST_RFES}, but was {short(rfes)}; 5 is usual, and the "
+            "error falls with its square."
+        )
+    return int(rfes)
+
+
+def _masses(given: Any, of: str) -> tuple[PointMass, ...]:
+    if not isinstance(given, (tuple, list)) or any(not isinstance(entry, PointMass) for entry in given):
+        raise InputError(
+            f"Argument `point_masses` {of} must be a list of PointMass, but was {given!r}; "
+            "write for example [PointMass(0.05, 0.12)]."
+        )
+    return tuple(given)

@@ -1,0 +1,7 @@
+"""What is asked of a run.
+
+catalogue        all metrics by name: unit, meaning, equation
+design_metrics   masses, stresses, bearing lives and the like, which register themselves
+subjects         what a metric can be of: joints, links
+reference        the metrics as a text
+"""

@@ -1,0 +1,96 @@
+"""All metrics with their units, what they mean and what has them: the reference that `rfem-jax keys metrics` prints.
+
+Place in the pipeline: metric_catalogue, design_metrics, metric_subjects -> **metric_reference** ->
+`rfem_jax.report.keys_text`, docs/reference/metrics.md. What has a metric is asked of the functions that refuse it.
+"""
+
+from dataclasses import dataclass
+
+from rfem_jax.description.basics.joint_kinds import DEFAULT, KINDS
+from rfem_jax.description.mechanism.bearings import CAPACITIES
+from rfem_jax.description.metrics.catalogue import JOINT_METRICS, LINK_METRICS, RUN_METRICS, MetricKind
+from rfem_jax.description.metrics.design_metrics import STRESS_POWER as STRESS_POWER  # registers the metrics of designs
+from rfem_jax.description.metrics.subjects import JointSubject, LinkSubject, MetricSubjects, refusal_of
+
+CALLED = {
+    "joint": 'of a joint, "JOINT.NAME", of all that have it "*.NAME"',
+    "link": 'of a link, "LINK.NAME", of a point of it "LINK@0.5.NAME", of all links "*.NAME"',
+    "run": 'of the whole run, "NAME"',
+}
+
+
+@dataclass(frozen=True)
+class MetricRow:
+    """A metric: its name; its unit ("" for a plain number); what it means; what has it, "" where all have; the number
+    of its equation in the theory, "" where words suffice."""
+
+    name: str
+    unit: str
+    meaning: str
+    needs: str
+    equation: str
+
+    @property
+    def text(self) -> str:
+        """Meaning, what has it, and equation in one."""
+        equation = f", theory {self.equation}" if self.equation else ""
+        return f"{self.meaning}{equation}{f'; {self.needs}' if self.needs else ''}"
+
+
+@dataclass(frozen=True)
+class MetricTable:
+    """Metrics of one owner: its header, how they are called, and a row for each."""
+
+    header: str
+    rows: tuple[MetricRow, ...]
+
+
+def metric_tables() -> list[MetricTable]:
+    """All metrics that study files and `Problem` may name, those registered from outside the package included."""
+    catalogues = {"joint": JOINT_METRICS, "link": LINK_METRICS, "run": RUN_METRICS}
+    return [
+        MetricTable(f"metrics {CALLED[of]}", tuple(_row(kind) for kind in catalogue.values()))
+        for of, catalogue in catalogues.items()
+        if catalogue
+    ]
+
+
+def _row(kind: MetricKind) -> MetricRow:
+    meaning = kind.description or kind.label.replace("{joint}", "the joint").replace("{link}", "the link")
+    return MetricRow(kind.name, kind.unit, meaning, needs_of(kind), kind.equation)
+
+
+def needs_of(kind: MetricKind) -> str:
+    """What has a metric, in words, "" where all have: the kinds of joints, and what a joint, a link or a mechanism must
+    have besides."""
+    if kind.of == "link":
+        return "only where the section's edge is known" if refusal_of(kind, LinkSubject(edge=False)) else ""
+    if kind.of == "run":
+        lacking = {word: MetricSubjects({"A": joint}, {}) for word, joint in _without(_joint(DEFAULT)).items()}
+        needs = [word for word, one in lacking.items() if refusal_of(kind, one)]
+        return f"only where a joint is {', '.join(needs)}" if needs else ""
+    names = [name for name in KINDS if not refusal_of(kind, _joint(name))]
+    if not names:
+        return "of no joint"
+    needs = [word for word, one in _without(_joint(names[0])).items() if refusal_of(kind, one)]
+    kinds = [] if len(names) == len(KINDS) else [f"of kinds {', '.join(names)}"]
+    return f"only {', '.join(kinds + needs)}" if kinds or needs else ""
+
+
+def _joint(kind: str) -> JointSubject:
+    """A joint of a kind that has everything."""
+    return JointSubject(KINDS[kind], False, True, True, tuple(CAPACITIES))
+
+
+def _without(joint: JointSubject) -> dict[str, JointSubject]:
+    """{what a metric may need of a joint: the joint without it}."""
+    capacities = {
+        f"with `bearing.{name}`": joint._replace(capacities=tuple(one for one in CAPACITIES if one != name))
+        for name in CAPACITIES
+    }
+    return {
+        "not cut": joint._replace(cut=True),
+        "driven": joint._replace(driven=False),
+        "with friction": joint._replace(friction=False),
+        **capacities,
+    }

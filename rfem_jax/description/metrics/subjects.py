@@ -1,0 +1,137 @@
+"""What metrics can be of: the joints, links, bearings, frictions and drives of a mechanism, described or as a model.
+
+Place in the pipeline: metric_catalogue -> **metric_subjects** -> tasks (of a `Mechanism`), tolerancing (of a `Model`).
+"""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from rfem_jax.description.basics.errors import InputError, suggestion
+from rfem_jax.description.basics.joint_kinds import KINDS, JointKind
+from rfem_jax.description.mechanism.forces import JointFriction
+from rfem_jax.description.mechanism.mechanism import Mechanism
+from rfem_jax.description.metrics.catalogue import MetricKind, kind_and_owner, suggested_metric
+
+
+class JointSubject(NamedTuple):
+    """A joint: its kind, whether it is cut and driven, has friction, and which capacities its bearing has."""
+
+    kind: JointKind
+    cut: bool
+    driven: bool = False
+    friction: bool = False
+    capacities: tuple[str, ...] = ()
+
+
+class LinkSubject(NamedTuple):
+    """A link: whether the stresses at its section's edge are known."""
+
+    edge: bool
+
+
+class MetricSubjects(NamedTuple):
+    """All joints and links by their names."""
+
+    joints: dict[str, JointSubject]
+    links: dict[str, LinkSubject]
+
+    @property
+    def friction(self) -> bool:
+        """Whether any joint has friction."""
+        return any(joint.friction for joint in self.joints.values())
+
+    @property
+    def driven(self) -> bool:
+        """Whether any joint is driven."""
+        return any(joint.driven for joint in self.joints.values())
+
+
+def subjects_of(mechanism: Mechanism) -> MetricSubjects:
+    """What the metrics of a described mechanism can be of."""
+    with_friction = {force.joint for force in mechanism.forces if isinstance(force, JointFriction)}
+    driven = {name for name, _ in mechanism.driven_motions}
+    joints = {
+        one.name: JointSubject(
+            KINDS[one.kind],
+            one.cut,
+            one.name in driven,
+            one.name in with_friction,
+            () if one.bearing is None else one.bearing.capacities,
+        )
+        for one in mechanism.joints
+    }
+    links = {
+        one.name: LinkSubject(one.section is not None and bool(one.section.edge_stresses())) for one in mechanism.links
+    }
+    return MetricSubjects(joints, links)
+
+
+def divided(owner: str) -> tuple[str, float]:
+    """Link and fraction of its length of "LINK@FRACTION"; the far end of "LINK". Raises InputError."""
+    link, at, fraction = owner.partition("@")
+    if not at:
+        return link, 1.0
+    try:
+        value = float(fraction)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value <= 1.0:
+        raise InputError(
+            f"Argument `metrics` must name a point of a link by a fraction of its length from 0 to 1, but {owner!r} "
+            f"has {fraction!r}; write for example {link}@0.5."
+        )
+    return link, value
+
+
+def require_metric(name: str, subjects: MetricSubjects, whole: str, of: str = "") -> tuple[str, ...]:
+    """The metrics that a name stands for, several where its joint or link is "*"; `whole`: "model" or "mechanism";
+    `of`: " of the task `NAME`".
+
+    Raises: InputError for a joint or link that is not there or has no such metric.
+    """
+    kind, owner = kind_and_owner(name)
+    if kind is None:
+        raise InputError(
+            f"Argument `metrics`{of} must name metrics, but {name!r} is none; {suggested_metric(name, owner or '*')}"
+        )
+    if kind.of == "run":
+        refusal = kind.refusal and kind.refusal(subjects)
+        if refusal:
+            raise InputError(
+                f"Argument `metrics`{of} must fit the {whole}, but `{name}` does not: {refusal}; leave it out."
+            )
+        return (name,)
+    known = subjects.joints if kind.of == "joint" else subjects.links
+    wanted, _, _ = owner.partition("@")
+    if kind.of == "link":
+        divided(owner)
+    if wanted not in (*known, "*"):
+        raise InputError(
+            f"Argument `metrics`{of} must be of {kind.of}s of the {whole}, but `{owner}` in `{name}` is none; "
+            f"{suggestion(wanted, known)}"
+        )
+    having = [one for one, subject in known.items() if refusal_of(kind, subject) is None]
+    if wanted == "*" and having:
+        return tuple(f"{owner.replace('*', one, 1)}.{kind.name}" for one in having)
+    if wanted not in having:
+        raise InputError(_not_had(name, kind, None if wanted == "*" else known[wanted], having, of))
+    return (name,)
+
+
+def refusal_of(kind: MetricKind, subject: JointSubject | LinkSubject | MetricSubjects) -> str | None:
+    """Why a joint, a link or a mechanism has no such metric, None if it has."""
+    if isinstance(subject, JointSubject) and kind.had_by is not None and not kind.had_by(subject.kind, subject.cut):
+        return "a cut joint has no coordinate, and one of another kind not this one"
+    return kind.refusal and kind.refusal(subject)
+
+
+def _not_had(
+    name: str, kind: MetricKind, subject: JointSubject | LinkSubject | None, having: Iterable[str], of: str
+) -> str:
+    """The sentence that says why a joint or link has no such metric, and which have it."""
+    reason = subject and refusal_of(kind, subject)
+    return (
+        f"Argument `metrics`{of} must be of {kind.of}s that have them, but `{name}` is not"
+        + (f": {reason}; " if reason else "; ")
+        + (f"{kind.of}s that have it are {', '.join(having)}." if having else f"no {kind.of} has it, leave it out.")
+    )

@@ -1,0 +1,185 @@
+"""From the tables of a study file to joints and forces.
+
+Place in the pipeline: `study_reader` calls it with one table of [[mechanism.joints]], [[mechanism.springs]] or
+[[mechanism.forces]].
+
+The keys are the names of the arguments of Joint, JointSpring, PointForce, ...; a force's "kind" chooses its class. What
+acts in a joint may stand in the joint's own table, too, as `stiffness`, `damping`, `spring` and `friction`; a spring or
+a force at a point says by its other keys what it is. All of this is translated here, and nowhere else.
+"""
+
+from collections.abc import Collection
+from dataclasses import fields
+from typing import Any
+
+from rfem_jax.description.basics.errors import ABSENT, InputError, Problems, located, require_choice
+from rfem_jax.description.basics.tables import build, checked_table, keys_of, keys_of_kind, kind_of
+from rfem_jax.description.mechanism.bearings import Bearing
+from rfem_jax.description.mechanism.clearance import Clearance
+from rfem_jax.description.mechanism.compliance import Compliance, TablesByDirection
+from rfem_jax.description.mechanism.forces import Force, JointForce, JointForceTable, JointFriction, JointSpring
+from rfem_jax.description.mechanism.joints import Joint
+from rfem_jax.description.mechanism.point_forces import AXES, PointForce, PointMoment, PointSpring, PointSpringTable
+
+FORCES = {
+    "joint_spring": JointSpring,
+    "joint_table": JointForceTable,
+    "friction": JointFriction,
+    "point_spring": PointSpring,
+    "point_spring_table": PointSpringTable,
+    "point_force": PointForce,
+    "point_moment": PointMoment,
+}
+SPRINGS = ("point_spring", "point_spring_table", "joint_spring")  # kinds of [[mechanism.springs]]
+AT_POINTS = {"force": "point_force", "moment": "point_moment"}  # kinds that need not be said, by a key that says it
+FUNCTION_KEYS = ("breakpoints",)  # of functions, which a file cannot hold
+IN_JOINTS = {"spring": JointSpring, "friction": JointFriction}  # tables of a joint, which is their `joint`
+OF_ITS_JOINT = ("name", "joint")
+TABLES_OF_JOINTS: dict[str, type[Bearing] | type[Clearance]] = {"bearing": Bearing, "clearance": Clearance}
+JOINT_KEYS = ("stiffness", "damping", *IN_JOINTS)  # beside the arguments of Joint
+
+
+def read_joint(table: object, place: str) -> tuple[Joint, list[JointForce]]:
+    """Return the joint of a table [[mechanism.joints]] and the forces that stand in it."""
+    problems = Problems()
+    required, optional = keys_of(Joint)
+    settings = dict(problems.usable(lambda: checked_table(table, place, required, (*optional, *JOINT_KEYS))))
+    of_joint = {key: settings.pop(key) for key in JOINT_KEYS if key in settings}
+    given = settings.get("compliance", ABSENT)
+    if given is not ABSENT:
+        settings["compliance"] = ABSENT
+        with problems.noted():
+            settings["compliance"] = Compliance(**checked_table(given, f"{place} compliance", *keys_of(Compliance)))
+    for key, kind in TABLES_OF_JOINTS.items():
+        given = settings.get(key, ABSENT)
+        if given is not ABSENT:
+            settings[key] = ABSENT
+            with problems.noted():
+                settings[key] = _read_part(kind, given, f"{place} {key}")
+    if not {"stiffness", "damping"}.isdisjoint(of_joint):
+        written = "compliance" in settings
+        settings["compliance"] = ABSENT
+        with problems.noted():
+            settings["compliance"] = _by_direction(of_joint, written, place)
+    forces: list[JointForce] = []
+    for key in IN_JOINTS:
+        with problems.noted():
+            forces += _forces_in_joint(of_joint.get(key, []), key, settings["name"], place)
+    return build(Joint, settings, place, problems), forces
+
+
+def _read_part(kind: type[Bearing] | type[Clearance], table: object, place: str) -> Bearing | Clearance:
+    problems = Problems()
+    settings = problems.usable(lambda: checked_table(table, place, *keys_of(kind)))
+    return build(kind, settings, place, problems)
+
+
+def _by_direction(of_joint: dict[str, Any], has_compliance: bool, place: str) -> TablesByDirection:
+    """The compliance of the tables `stiffness` and `damping`."""
+    if has_compliance:
+        raise InputError(
+            f"{place} must have either `compliance` or `stiffness` and `damping`, but has both; remove one of the two."
+        )
+    if "stiffness" not in of_joint:
+        raise InputError(
+            f"{place} must have `stiffness` beside `damping`, but it is missing; give the stiffness in the same "
+            "directions (of a free motion the damping stands in `spring`)."
+        )
+    problems, tables = Problems(), []
+    for key in ("stiffness", "damping"):
+        with problems.noted():
+            if isinstance(of_joint.get(key, {}), int | float | str):
+                raise InputError(
+                    f"{place} {key} must be a table of directions that the joint holds, but was {of_joint[key]!r}; "
+                    f"write {key} = {{ radial = ... }}, or, along a free motion, spring = {{ {key} = ... }}."
+                )
+            tables.append(checked_table(of_joint.get(key, {}), f"{place} {key}", (), [*TablesByDirection.keys()]))
+    problems.refuse()
+    return TablesByDirection.of(*tables)
+
+
+def _forces_in_joint(given: object, key: str, joint: Any, place: str) -> list[JointForce]:
+    """The springs or the friction of a joint: one table, or a list of them for several free motions."""
+    if given is ABSENT or joint is ABSENT:
+        raise InputError()  # told elsewhere
+    entries = given if isinstance(given, list) else [given]
+    kind, found, problems = IN_JOINTS[key], [], Problems()
+    for entry in entries:
+        with problems.noted():
+            found.append(_force_in_joint(kind, entry, joint, f"{place} {key}", f"{joint}_{key}", len(entries) > 1))
+    problems.refuse()
+    return found
+
+
+def _force_in_joint(
+    kind: type[JointForce], entry: object, joint: str, place: str, name: str, several: bool
+) -> JointForce:
+    problems = Problems()
+    required, optional = keys_of(kind, omit=OF_ITS_JOINT)
+    needed = ("motion",) if several else ()
+    left = [one for one in optional if one not in needed]
+    settings = problems.usable(lambda: checked_table(entry, place, (*required, *needed), left))
+    motion = settings.get("motion")
+    if several and isinstance(motion, str):
+        name = f"{name}_{motion}"
+    return build(kind, {**settings, "name": name, "joint": joint}, place, problems)
+
+
+def read_spring(table: object, place: str) -> Force:
+    """Return the spring of a table [[mechanism.springs]]: between two points, or along a motion of a `joint`."""
+    problems = Problems()
+    content = problems.usable(lambda: checked_table(table, place, (), _keys_of_all(SPRINGS)))
+    kind = "joint_spring" if "joint" in content else "point_spring_table" if "lengths" in content else "point_spring"
+    settings = keys_of_kind(content, f"{place} {spring_place(kind)}", *keys_of(FORCES[kind]), problems)
+    return build(FORCES[kind], settings, place, problems)
+
+
+def read_force(table: object, place: str) -> Force:
+    """Return the force of a table [[mechanism.forces]]."""
+    problems = Problems()
+    known = [*_keys_of_all(FORCES), "frame"]
+    at_point = next((kind for key, kind in AT_POINTS.items() if isinstance(table, dict) and key in table), None)
+    needed = () if at_point and isinstance(table, dict) and "kind" not in table else ("kind",)
+    said = table.get("kind", at_point) if isinstance(table, dict) else None
+    if isinstance(said, str) and said in FORCES and isinstance(table, dict):
+        # The nearest key of this kind is meant; keys of others are told by name below.
+        required, optional = force_keys(said)
+        known = [key for key in known if key in table or key in (*required, *optional)]
+    content = dict(problems.usable(lambda: checked_table(table, place, needed, [*known, "kind"])))
+    content.setdefault("kind", at_point)
+    kind = kind_of(content, FORCES, "kind", place, problems)
+    if kind in AT_POINTS.values() and "frame" in content:
+        with problems.noted():
+            _frame_as_axes(content, place)
+    settings = keys_of_kind(content, f'{place} of kind "{kind}"', *force_keys(kind), problems)
+    return build(FORCES[kind], {name: value for name, value in settings.items() if name != "kind"}, place, problems)
+
+
+def force_keys(kind: str) -> tuple[list[str], list[str]]:
+    """The required and the optional keys of [[mechanism.forces]] of a kind."""
+    required, optional = keys_of(FORCES[kind], omit=FUNCTION_KEYS)
+    if kind in AT_POINTS.values():
+        return required, ["kind", *optional, "frame"]
+    return ["kind", *required], optional
+
+
+def spring_place(kind: str) -> str:
+    """Where a spring of [[mechanism.springs]] of a kind is, in words."""
+    return {"joint_spring": "at a joint", "point_spring_table": "between points, with a table"}.get(
+        kind, "between points"
+    )
+
+
+def _frame_as_axes(content: dict[str, Any], place: str) -> None:
+    """`frame` is another name of `axes`."""
+    frame, both = content.pop("frame"), "axes" in content
+    content["axes"] = ABSENT
+    with located(place):
+        content["axes"] = require_choice(frame, AXES, "frame")
+    if both:
+        raise InputError(f"{place} must have either `frame` or `axes`, but has both; remove one of the two.")
+
+
+def _keys_of_all(kinds: Collection[str]) -> list[str]:
+    """The keys of some kinds of forces, that of functions left out."""
+    return sorted({field.name for kind in kinds for field in fields(FORCES[kind])} - {*FUNCTION_KEYS})
