@@ -112,7 +112,13 @@ def test_no_circles_of_sub_packages():
     for name, path in names.items():
         others = {place_of(other) for other in imported_files(path) if other in names}
         imports.setdefault(place_of(name), set()).update(others - {place_of(name)})
-    rooms = {"description.mechanism", "mechanics.laws", "mechanics.implicit", "simulation.solvers", "tolerancing.problems"}
+    rooms = {
+        "description.mechanism",
+        "mechanics.laws",
+        "mechanics.implicit",
+        "simulation.solvers",
+        "tolerancing.problems",
+    }
     assert rooms <= set(imports)
     while imports:
         free = [place for place, others in imports.items() if not others & set(imports)]

@@ -59,7 +59,7 @@ def test_clearance_of_a_fit():
 
 def test_grades_follow_the_formulas_of_the_standard():
     """i = 0.45 D^(1/3) + 0.001 D um, D [mm] the geometric mean of the range; IT5 to IT12 = 7 i, 10 i, ... 160 i."""
-    path = Path(rfem_jax.description.__file__).with_name("iso_286.json")
+    path = Path(rfem_jax.description.__file__).parent / "basics" / "iso_286.json"
     table = json.loads(path.read_text(encoding="utf-8"))
     ends = np.array([1.0, *table["up_to_mm"]])
     mean = np.sqrt(ends[1:] * ends[:-1])
