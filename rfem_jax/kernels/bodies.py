@@ -20,6 +20,7 @@ from rfem_jax.kernels.builder import TooLarge, Unsupported
 from rfem_jax.kernels.entries import shape_of, size_of
 
 LARGEST_ARRAYS = 5_000_000  # entries of all arrays, of which it would take long to find that they are too many
+LARGEST_IN_PARTS = 1_000_000  # of a kernel in parts, in whose place XLA compiles what is between these in two seconds
 # Turns of a program, times blocks of samples, from which on it is compiled thoroughly: that takes 0.1 ms an operation
 # more and saves 0.35 ns of each turn of it, which pays after a hundred runs of so many turns.
 THOROUGH_FROM = 8000
@@ -142,8 +143,9 @@ class Body:
             return self._size
 
     def _emitted_size(self) -> Size | Unsupported:
-        if size_of(self.program) > LARGEST_ARRAYS:
-            return TooLarge(f"arrays of {LARGEST_ARRAYS} entries in all")
+        largest = LARGEST_IN_PARTS if self.in_parts else LARGEST_ARRAYS
+        if size_of(self.program) > largest:
+            return TooLarge(f"arrays of {largest} entries in all")
         try:
             self._emitted = programs.emit(self.program, self.in_parts)
         except TooLarge as reason:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax.kernels import is_available, kernel, programs
+from rfem_jax.kernels import bodies, is_available, kernel, programs, registry
 
 pytestmark = pytest.mark.skipif(not is_available(), reason="llvmlite is not installed")
 
@@ -157,3 +157,14 @@ def test_a_kernel_in_parts_leaves_what_has_no_machine_code_to_xla_in_silence():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         np.testing.assert_allclose(jax.jit(kernel(function, in_parts=True))(X), function(X), rtol=1e-12)
+
+
+def test_a_kernel_in_parts_that_is_too_large_is_its_parts(monkeypatch):
+    monkeypatch.setattr(bodies, "LARGEST_IN_PARTS", 20)
+
+    def function(x):
+        return jnp.sum(jnp.outer(kernel(jnp.sin, name="inner")(x), x) ** 2)
+
+    with registry.noting() as names:
+        np.testing.assert_allclose(jax.jit(kernel(function, in_parts=True))(X), function(X), rtol=1e-13)
+    assert len(names) == 1  # that of the inner kernel
