@@ -131,8 +131,8 @@ class Arithmetic:
         return self._extreme("lt", np.minimum, a, b)
 
     def _extreme(self, order: str, by_numpy: Callable, a: Entry, b: Entry) -> Entry:
-        if is_known(a) and is_known(b):
-            return by_numpy(a, b)
+        if is_known(a) and (is_known(b) or a != a):
+            return by_numpy(a, b) if is_known(b) else a
         if common_kind((a, b)) == "b":
             raise Unsupported("max or min of conditions")
         chosen = self.compare(order, a, b)
@@ -167,7 +167,8 @@ class Arithmetic:
     def invert(self, a: Entry) -> Entry:
         if is_known(a):
             return np.invert(a)
-        return self._bitwise("xor", a, np.bool_(True) if a.kind == "b" else DTYPES[a.kind].type(-1))
+        ones = np.bool_(True) if a.kind == "b" else np.invert(DTYPES[a.kind].type(0))
+        return self._bitwise("xor", a, ones)
 
     def select(self, which: Entry, yes: Entry, no: Entry) -> Entry:
         """`yes` where a condition holds, else `no`."""
@@ -205,7 +206,7 @@ class Arithmetic:
         if kind == "d":
             name = "uitofp" if a.kind in "bu" else "sitofp"
         elif a.kind == "d":
-            name = "fptoui" if kind == "u" else "fptosi"
+            return self.builder.whole_number(kind, a)
         else:
             name = "zext" if a.kind == "b" or (a.kind == "u" and kind == "l") else "sext" if kind == "l" else "trunc"
         return self.builder.operation(kind, f"{name} #{a.kind} {a.name} to #{kind}")
@@ -242,6 +243,9 @@ class Arithmetic:
 
     def _not(self, a: Entry) -> Entry:
         return self.invert(a)
+
+    def _pow(self, a: Entry, b: Entry) -> Entry:
+        return self.builder.call("pow", "d", a, self.convert(b, DTYPES["d"]))
 
     def _square(self, a: Entry) -> Entry:
         return self.multiply(a, a)

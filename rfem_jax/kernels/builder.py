@@ -175,6 +175,12 @@ class Builder:
         arguments = ", ".join(f"#{kind} {self.operand(x, kind)}" for x in entries)
         return self.operation(kind, f"call #{kind} {name}({arguments})")
 
+    def whole_number(self, kind: str, value: Value) -> Value:
+        """A double without its fraction, the nearest number there is, zero of what is not a number: as XLA has it."""
+        name = f"@llvm.fpto{'u' if kind == 'u' else 's'}i.sat.v#ni{64 if kind == 'l' else 32}.v#nf64"
+        self.intrinsics[name] = f"declare #{kind} {name}(#d)"
+        return self.operation(kind, f"call #{kind} {name}(#d {value.name})")
+
     def any(self, mask: Value) -> str:
         """Whether a condition holds in any lane, as a scalar."""
         self.intrinsics["any"] = "declare i1 @llvm.vector.reduce.or.v#ni1(#b)"

@@ -176,6 +176,11 @@ class Emitter(Places):
 
     def _dot_general(self, equation, a, b):
         (a_summed, b_summed), (a_batch, b_batch) = equation.params["dimension_numbers"]
+        dtype = equation.outvars[0].aval.dtype  # of which the operands need not be
+        a, b = (
+            x if shape_of(v).dtype == dtype else self._each(lambda one: self.arithmetic.convert(one, dtype), [x])
+            for x, v in zip((a, b), equation.invars)
+        )
         a_own = [i for i in range(a.ndim) if i not in (*a_summed, *a_batch)]
         b_own = [i for i in range(b.ndim) if i not in (*b_summed, *b_batch)]
         batch, terms = (math.prod(a.shape[i] for i in axes) for axes in (a_batch, a_summed))

@@ -14,6 +14,7 @@ from jax import Array
 from rfem_jax.kernels.emission import expand_primitive
 
 ORTHOGONAL = 1e-15  # cosine of the angle between columns below which they are not turned
+SMALLEST = 1e-290  # product of columns of entries of at most one, in which rounding is all that is left
 MOST_SWEEPS = 40  # over all pairs; some ten are enough
 
 
@@ -108,7 +109,7 @@ def singular_values(
         raise NotImplementedError("a part of the singular values")
     settings = {"full_matrices": full_matrices, "compute_uv": compute_uv, "subset_by_index": None}
     if matrix.ndim > 2:
-        return jax.vmap(lambda one: singular_values(one, **settings))(matrix)
+        return jax.lax.map(lambda one: singular_values(one, **settings), matrix)
     rows, columns = matrix.shape
     if rows < columns:
         found = singular_values(matrix.T, **settings)
@@ -119,6 +120,7 @@ def singular_values(
     sizes = jnp.sqrt(jnp.sum(images**2, axis=1))
     order = jnp.argsort(-sizes)
     images, right, values = images[order], right[order], sizes[order] * scale
+    right = jnp.where(jnp.isfinite(scale), right, jnp.nan)
     if not compute_uv:
         return [values]
     left = _orthogonal_factor(images.T)
@@ -139,7 +141,7 @@ def _orthogonal_columns(columns: Array) -> tuple[Array, Array]:
         p, q = pair
         x, y = row(a, p), row(a, q)
         xx, yy, xy = jnp.sum(x * x), jnp.sum(y * y), jnp.sum(x * y)
-        needed = jnp.abs(xy) > ORTHOGONAL * jnp.sqrt(xx) * jnp.sqrt(yy)
+        needed = (jnp.abs(xy) > ORTHOGONAL * jnp.sqrt(xx) * jnp.sqrt(yy)) & (jnp.abs(xy) > SMALLEST)
         zeta = (yy - xx) / (2.0 * jnp.where(needed, xy, 1.0))
         tangent = jnp.where(zeta < 0.0, -1.0, 1.0) / (jnp.abs(zeta) + jnp.sqrt(1.0 + zeta * zeta))
         tangent = jnp.where(needed, tangent, 0.0)

@@ -7,6 +7,7 @@ come to its end keeps what it had; a branch is entered if any lane takes it, and
 own.
 """
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import Protocol, runtime_checkable
@@ -16,7 +17,7 @@ from jax.extend.core import ClosedJaxpr
 
 from rfem_jax.kernels.arithmetic import Arithmetic
 from rfem_jax.kernels.builder import DTYPES, TURNS, Builder, Entry, Unsupported, Value, is_known, kind_of
-from rfem_jax.kernels.entries import Entries, of_shape, size_of, whole
+from rfem_jax.kernels.entries import Entries, each, of_shape, size_of, whole
 from rfem_jax.kernels.long_arrays import LONG, each_in_a_loop, is_long
 from rfem_jax.kernels.memory import columns_of, copy, row_of, stored
 
@@ -168,7 +169,8 @@ def repeat_while(emitter: Emitter, equation, parts: Sequence[Entries]) -> list[E
 
     def turn() -> None:
         carry = around.load()
-        goes_on: Entry = emitter.run(settings["cond_jaxpr"], [*of_condition, *carry])[0][()]
+        conditions = emitter.run(settings["cond_jaxpr"], [*of_condition, *carry])[0]  # of a batch, several
+        goes_on: Entry = functools.reduce(emitter.arithmetic.either, conditions.flat)
         if is_known(goes_on):
             if goes_on:
                 raise Unsupported("while without an end")
@@ -178,7 +180,7 @@ def repeat_while(emitter: Emitter, equation, parts: Sequence[Entries]) -> list[E
             builder.line(f"br i1 {builder.any(goes_on)}, label %{inner}, label %{done}")
             builder.begin(inner)
             results = _typed(emitter.run(settings["body_jaxpr"], [*of_body, *carry]), variables)
-            around.store([_kept(emitter, goes_on, new, old) for new, old in zip(results, carry)])
+            around.store([_kept(emitter, conditions, new, old) for new, old in zip(results, carry)])
         builder.line(f"br label %{loop}")
 
     builder.inside(turn, TURNS)
@@ -186,12 +188,12 @@ def repeat_while(emitter: Emitter, equation, parts: Sequence[Entries]) -> list[E
     return around.finished()
 
 
-def _kept(emitter: Emitter, mask: Value, new: Entries, old: Entries) -> Entries:
-    if emitter.short and is_long((new, old), new.shape):
-        return each_in_a_loop(
-            emitter.builder, lambda a, b: emitter.arithmetic.select(mask, a, b), (new, old), new.shape
-        )
-    return of_shape([emitter.arithmetic.select(mask, a, b) for a, b in zip(new.flat, old.flat)], new.shape)
+def _kept(emitter: Emitter, masks: Entries, new: Entries, old: Entries) -> Entries:
+    """What is new where a mask holds, which is one for all, or one for each entry of the first axes."""
+    masks, select = masks.reshape(masks.shape + (1,) * (new.ndim - masks.ndim)), emitter.arithmetic.select
+    if emitter.short and is_long((masks, new, old), new.shape):
+        return each_in_a_loop(emitter.builder, select, (masks, new, old), new.shape)
+    return each(select, (np.broadcast_to(masks, new.shape), new, old))
 
 
 def branch(emitter: Emitter, equation, which: Entries, parts: Sequence[Entries]) -> list[Entries]:
@@ -224,7 +226,7 @@ def branch(emitter: Emitter, equation, which: Entries, parts: Sequence[Entries])
         def carry_out(program=program, mask=mask, first=i == 0) -> None:
             results = _typed(emitter.run(program, parts), variables)
             if not first:
-                results = [_kept(emitter, mask, new, old) for new, old in zip(results, found.load())]
+                results = [_kept(emitter, whole(mask), new, old) for new, old in zip(results, found.load())]
             found.store(results)
 
         builder.inside(carry_out)

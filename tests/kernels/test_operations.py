@@ -207,3 +207,46 @@ def test_singular_values_alone_and_of_what_is_no_number():
     np.testing.assert_allclose(
         values(jnp.asarray(np.vander([1.0, 2.0, 3.0]) * [1.0, 1e-7, 1e-13])), small_values, rtol=1e-6
     )
+
+
+def test_singular_values_of_several_matrices_at_once_and_of_columns_far_apart():
+    matrices = jnp.asarray(RANDOM.normal(size=(3, 4, 4)))
+    found = strict(lambda x: jnp.linalg.svd(x, compute_uv=False))(matrices)
+    np.testing.assert_allclose(found, np.linalg.svd(matrices, compute_uv=False), rtol=1e-13)
+    for matrix in (np.ones((6, 9)), np.ones((5, 5)) * 10.0 ** (-14.0 * np.arange(5))):
+        values = strict(lambda x: jnp.linalg.svd(x, compute_uv=False))(jnp.asarray(matrix))
+        np.testing.assert_allclose(values, np.linalg.svd(matrix, compute_uv=False), rtol=1e-10, atol=1e-14)
+
+
+def test_a_loop_of_a_batch_ends_for_each_by_itself():
+    def function(x):
+        def halved(one):
+            return jax.lax.while_loop(lambda c: c[0] > 1.0, lambda c: (0.5 * c[0], c[1] + 1, c[2] * 1.5), one)
+
+        return jax.vmap(halved)((x, jnp.zeros(x.shape, jnp.int32), jnp.ones((*x.shape, 3))))
+
+    x = jnp.array([0.5, 3.0, 100.0, 17.0])
+    for a, b in zip(strict(function)(x), function(x), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+TRIANGLE = np.tri(3, dtype=int)
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda x, n: jax.lax.dot(TRIANGLE, x, preferred_element_type=jnp.float64),
+        lambda x, n: jax.lax.dot(n[:, None] * n[None], n, preferred_element_type=jnp.int64),
+        lambda x, n: jax.lax.pow(x, n),
+        lambda x, n: ~n.astype(jnp.uint32),
+        lambda x, n: jax.lax.max(np.nan * x[:1], x[1:2]),
+        lambda x, n: jax.lax.max(jnp.array([np.nan, 1.0, -1.0]), x),
+        lambda x, n: (1e30 * x).astype(jnp.int32),
+        lambda x, n: (jnp.array([np.nan, np.inf, -np.inf]) * x).astype(jnp.int64),
+        lambda x, n: (x * 1e10).astype(jnp.uint32),
+    ],
+)
+def test_numbers_of_several_types_and_at_the_ends_of_their_range(function):
+    x, n = jnp.array([1.5, -0.7, 2.0]), jnp.array([2, -1, 3], jnp.int32)
+    np.testing.assert_array_equal(strict(function)(x, n), jax.jit(function)(x, n))
