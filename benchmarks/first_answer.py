@@ -40,13 +40,19 @@ GRADIENT = """
 import jax
 jax.config.update("jax_enable_x64", True)
 import jax.numpy as jnp
-from rfem_jax import Method, Problem, discretise, load_study
+import rfem_jax
+from rfem_jax import Problem, discretise, load_study
 
 study = load_study("studies/four_bar/study.toml")
 model = discretise(study.mechanism)
 metrics = [f"{joint}.mean_square_moment" for joint in "ABCD"]
 names = ("D.delta_x", "D.delta_z", "D.d_y")
-problem = Problem(model, study.drive, study.duration, metrics, Automatic(accuracy=1e-3))
+if hasattr(rfem_jax, "Simulation"):
+    method = rfem_jax.Automatic(accuracy=1e-3)
+    simulation = rfem_jax.Simulation(model, drive=study.drive, duration=study.duration, method=method)
+    problem = Problem(simulation, metrics)
+else:  # of an older checkout
+    problem = Problem(model, study.drive, study.duration, metrics, rfem_jax.Method("auto", accuracy=1e-3))
 points = jnp.linspace(0.5, 1.5, 16)[:, None] * jnp.array([[5e-3, 4e-3, 5e-4]])
 
 def values(point):

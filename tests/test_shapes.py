@@ -19,7 +19,8 @@ for elements in ("linear", "geometrically_exact"):
 
         def simulate(tilt):
             errors = rfem_jax.assembly_errors(model, {"D.delta_x": tilt})
-            run = rfem_jax.simulate(model, errors, drive=drive, duration=0.02, method=method, save_every=1e-2)
+            settings = {"duration": 0.02, "method": method, "save_every": 1e-2}
+            run = rfem_jax.simulate(rfem_jax.Simulation(model, drive=drive, **settings), errors)
             return run.metrics.mean_square_moment["D"]
 
         # A derivative by each method and of each kind of elements.
@@ -35,13 +36,14 @@ for make, method in (
 
     def largest(length):
         errors = rfem_jax.assembly_errors(model, {f"{model.link_names[0]}.length": length})
-        run = rfem_jax.simulate(model, errors, drive=driven, duration=0.02, method=method, save_every=1e-2)
+        settings = {"duration": 0.02, "method": method, "save_every": 1e-2}
+        run = rfem_jax.simulate(rfem_jax.Simulation(model, drive=driven, **settings), errors)
         return run.metrics.mean_square_force[model.joint_names[-1]]
 
     print(jax.eval_shape(largest, 1e-5).shape)
 try:
-    from rfem_jax.mechanics import algebra
-    algebra.rotation_y("no array")
+    from rfem_jax.mechanics.algebra import vectors
+    vectors.rotation_y("no array")
 except jaxtyping.TypeCheckError:
     print("checked")
 """

@@ -120,6 +120,11 @@ class Method(ChecksItself, metaclass=_MethodClass):
         """True if the method chooses its steps from tolerances."""
         return False
 
+    def as_table(self) -> dict[str, Any]:
+        """Name and settings, as a study file has them and results tell them."""
+        settings = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "solver"}
+        return {"name": self.name, **settings}
+
     def _convert(self, name: str, default: Any, dimension: str, convert: Callable, below_one: str) -> None:
         given = getattr(self, name)
         given = default if given is None else given

@@ -15,7 +15,6 @@ joints with clearance `D_penetration_start_m`, `..._end_m`, `..._axial_m` (below
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -50,7 +49,7 @@ def write_results(path: str | Path, study: Study, summaries: Summaries, start: S
         "note": study_note(study) or None,
         "duration": study.duration,
         "driven_joint": study.drives[0].joint if study.drives else None,
-        "method": asdict(study.method),
+        "method": study.method.as_table(),
         **({} if start is None else {"start": start._asdict()}),
         **({"design": study.design_values} if study.design_values else {}),
         **reaction_norm(study),

@@ -39,9 +39,9 @@ def test_the_matrix_of_a_cross_product():
     np.testing.assert_allclose(found, np.cross(a, b, axis=0), rtol=1e-14)
 
 
-@pytest.mark.parametrize(("factors", "vectors"), [((), (3,)), ((5,), (6, 5)), ((5,), (3, 1)), ((2, 1), (3, 2, 5))])
-def test_vectors_are_scaled_by_factors_of_their_own(factors, vectors):
-    factor, vector = rng.normal(size=factors), rng.normal(size=vectors)
+@pytest.mark.parametrize(("factors", "shape"), [((), (3,)), ((5,), (6, 5)), ((5,), (3, 1)), ((2, 1), (3, 2, 5))])
+def test_vectors_are_scaled_by_factors_of_their_own(factors, shape):
+    factor, vector = rng.normal(size=factors), rng.normal(size=shape)
     found = vectors.scaled(jnp.asarray(factor), jnp.asarray(vector))
     np.testing.assert_array_equal(found, factor[None] * vector)
 

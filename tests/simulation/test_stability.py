@@ -21,6 +21,7 @@ from rfem_jax import (
     simulate,
 )
 from rfem_jax.description.methods import named_method
+from rfem_jax.simulation.integration import grid_for
 from rfem_jax.simulation.stability import eigenvalues
 from rfem_jax.validation.reference_values import read_reference
 
@@ -65,9 +66,9 @@ def test_a_step_too_large_is_refused_with_the_allowed_one(models):
     assert check_step(models["study"], Explicit("dopri5", rtol=1e-6, atol=1e-8)) is None
 
 
-def test_auto_must_be_chosen_before_a_simulation(small):
+def test_auto_must_be_chosen_before_times_are_divided(small):
     with pytest.raises(InputError, match="choose_method"):
-        simulate(Simulation(small.model, **{**small.settings, "method": Automatic()}), None)
+        grid_for(small.drive, 0.02, Automatic(), None)
 
 
 def test_simulations_confirm_the_limit(small, method="rk4"):

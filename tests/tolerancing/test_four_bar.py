@@ -10,6 +10,7 @@ from rfem_jax import (
     Problem,
     Reciprocal,
     RungeKutta4,
+    Simulation,
     Tolerances,
     Uniform,
     allocate,
@@ -40,7 +41,8 @@ class Counted(Problem):
 @pytest.fixture(scope="module")
 def problem():
     model = discretise(four_bar(3))
-    return Counted(model, MomentRamp("A", 1.5, 2.5e-4), 5e-4, METRICS, RungeKutta4(step=2.5e-5), 2.5e-4)
+    settings = {"duration": 5e-4, "method": RungeKutta4(step=2.5e-5), "save_every": 2.5e-4}
+    return Counted(Simulation(model, drive=MomentRamp("A", 1.5, 2.5e-4), **settings), METRICS)
 
 
 @pytest.fixture(scope="module")

@@ -71,7 +71,6 @@ def act(arguments: argparse.Namespace) -> Answer:
 
 
 def _document(study: Study, structure: Any, step: float | None, limit: Any) -> dict[str, Any]:
-    from dataclasses import asdict
 
     mechanism = study.mechanism
     joints = [
@@ -86,7 +85,7 @@ def _document(study: Study, structure: Any, step: float | None, limit: Any) -> d
         "structure": found,
         "start": structure.start._asdict(),
         "duration": study.duration,
-        "method": asdict(study.method),
+        "method": study.method.as_table(),
         "largest_stable_step": None if step is None else float(step),
         "drive_limit": None if limit is None else {"time": limit.time, "of": limit.label, "position": limit.position},
         "design": study.design,

@@ -28,7 +28,7 @@ def write_task_json(path: Path, study: Study, name: str, result: dict[str, Any])
         "title": study.title,
         "note": study_note(study) or None,
         "duration": study.duration,
-        "method": asdict(study.method),
+        "method": study.method.as_table(),
         "task": {"name": name, **asdict(study.tasks.asked[name])},
         "tolerances": None if specified is None else asdict(specified),
         **result,
