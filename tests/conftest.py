@@ -56,10 +56,12 @@ LONG = (
 
 
 def pytest_collection_modifyitems(items):
-    """Long files first; and the checker is faster than the messages of functions that are given a value of a wrong
-    type."""
+    """Long files first; what is not slow is fast; and the checker is faster than the messages of functions that are
+    given a value of a wrong type."""
     items.sort(key=lambda item: not item.path.as_posix().endswith(LONG))
     for item in items:
+        if not any(item.get_closest_marker(name) for name in ("slow", "long", "exhaustive")):
+            item.add_marker(pytest.mark.fast)
         if TYPES_CHECKED and item.get_closest_marker("wrong_types"):
             item.add_marker(pytest.mark.skip(reason="types are checked at run time"))
 

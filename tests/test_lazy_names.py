@@ -28,6 +28,7 @@ def test_all_public_names_are_found(package):
         assert getattr(module, name) is not None
 
 
+@pytest.mark.slow
 def test_a_problem_needs_no_statistics():
     code = f"import sys; from rfem_jax import Problem; print([x for x in '{UNUSED}'.split() if x in sys.modules])"
     assert in_a_new_process(code) == "[]"

@@ -1,5 +1,7 @@
 """Arrays have the shapes and kinds that annotations say: a simulation is traced with all of them checked."""
 
+import pytest
+
 from tests.processes import in_a_new_process
 
 CHECKED = """
@@ -49,6 +51,7 @@ except jaxtyping.TypeCheckError:
 """
 
 
+@pytest.mark.slow
 def test_a_simulation_has_the_shapes_of_its_annotations():
     """Tracing alone: nothing is compiled."""
     assert in_a_new_process(CHECKED).splitlines() == ["()"] * 7 + ["checked"]

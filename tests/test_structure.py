@@ -79,6 +79,7 @@ def imported_files(path: Path):
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
+@pytest.mark.slow
 def test_no_circles_of_files():
     imports = {
         "rfem_jax." + ".".join(p.relative_to(ROOT / "rfem_jax").with_suffix("").parts): set(imported_files(p))
@@ -105,6 +106,7 @@ def place_of(name: str) -> str:
     return ".".join(parts[:2] if (ROOT / "rfem_jax" / "/".join(parts[:2])).is_dir() else parts)
 
 
+@pytest.mark.slow
 def test_no_circles_of_sub_packages():
     names = {"rfem_jax." + ".".join(p.relative_to(ROOT / "rfem_jax").with_suffix("").parts): p for p in FILES}
     names = {name: path for name, path in names.items() if path.name != "__init__.py"}
@@ -127,6 +129,7 @@ def test_no_circles_of_sub_packages():
             del imports[place]
 
 
+@pytest.mark.slow
 def test_a_file_and_its_functions_have_different_names():
     for path in FILES:
         names = {
@@ -138,6 +141,7 @@ def test_a_file_and_its_functions_have_different_names():
 LONGEST_FUNCTION = 60
 
 
+@pytest.mark.slow
 def test_no_function_is_longer_than_a_page():
     for path in FILES:
         for node in ast.walk(ast.parse(path.read_text())):
@@ -216,6 +220,7 @@ def test_changes_of_settings_are_seen(text, tmp_path):
     assert changes_of_settings(path) == []
 
 
+@pytest.mark.slow
 def test_no_module_changes_settings_when_it_is_imported():
     """The package changes none; tests do, but not the options of the compiler, which are those of users."""
     for path in ALL_FILES:
@@ -238,6 +243,7 @@ print(len(jax.devices()))
 """
 
 
+@pytest.mark.slow
 def test_import_changes_nothing_and_starts_nothing():
     """Not even that of all its modules."""
     assert in_a_new_process(IMPORTED) == "3"

@@ -50,6 +50,7 @@ def object_codes(folder):
     return [path for path in folder.iterdir() if path.name.startswith("kernel_")]
 
 
+@pytest.mark.slow
 def test_another_process_loads_programs_and_their_object_code(tmp_path):
     """Two programs that call one kernel."""
     folder = tmp_path / "programs"
@@ -63,6 +64,7 @@ def test_another_process_loads_programs_and_their_object_code(tmp_path):
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
 
+@pytest.mark.slow
 def test_what_is_loaded_gives_the_bits_of_the_function_itself(tmp_path):
     expected = jax.tree.leaves(jax.jit(lambda x: shaken(oscillator(), x))(X))
     for _ in range(2):
@@ -70,6 +72,7 @@ def test_what_is_loaded_gives_the_bits_of_the_function_itself(tmp_path):
         assert bits.split() == [float(number).hex() for one in expected for number in np.ravel(one)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["alone", "in a batch", "slopes"])
 def test_object_code_is_kept_also_where_no_program_is(tmp_path, name):
     """That of a kernel by itself, in a batch, of its derivative."""
@@ -96,6 +99,7 @@ DAMAGE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", DAMAGE)
 def test_without_good_object_code_a_program_is_made_anew(tmp_path, damage):
     folder = tmp_path / "programs"
@@ -116,6 +120,7 @@ def test_without_a_folder_nothing_is_kept(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_where_kernels_have_no_machine_code_others_programs_are_not_loaded(tmp_path):
     """They call functions that are not there."""
     _, bits = counted(tmp_path / "programs", "shaken")

@@ -224,6 +224,7 @@ TRANSFORMED = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TRANSFORMED)
 @pytest.mark.parametrize("jitted", [False, True], ids=["plain", "jitted"])
 def test_within_a_transformation_it_is_the_function_itself(kept, name, jitted):
@@ -325,6 +326,7 @@ with covered(sys.argv[1]) as statistics:
 """
 
 
+@pytest.mark.slow
 def test_another_process_traces_nothing_and_finds_the_same_bits(tmp_path):
     first = in_a_new_process(OTHER_PROCESS, str(tmp_path / "programs")).split()
     second = in_a_new_process(OTHER_PROCESS, str(tmp_path / "programs")).split()
@@ -351,6 +353,7 @@ print(statistics.traced, statistics.loaded, len(found.devices()), *devices, *np.
 """
 
 
+@pytest.mark.slow
 def test_programs_of_several_devices_and_of_the_second_one(tmp_path):
     first = in_a_new_process(ON_TWO_DEVICES, str(tmp_path / "programs")).split()
     second = in_a_new_process(ON_TWO_DEVICES, str(tmp_path / "programs")).split()
@@ -358,6 +361,7 @@ def test_programs_of_several_devices_and_of_the_second_one(tmp_path):
     assert first[2:] == second[2:] == ["2", "1", *["0.0", "1.0", "2.0", "4.0", "4.0", "5.0", "10.0", "12.0"]]
 
 
+@pytest.mark.slow
 def test_two_processes_at_once(tmp_path):
     command = [sys.executable, "-c", OTHER_PROCESS, str(tmp_path / "programs")]
     environment = {**os.environ, "JAX_PLATFORMS": "cpu", "PYTHONPATH": os.getcwd()}

@@ -127,6 +127,7 @@ def test_rate_and_acceleration_are_the_differences_of_the_angle(drive, t):
     np.testing.assert_allclose(acc, (rb - ra) / (2 * step), rtol=1e-7, atol=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drive", MOMENTS + PRESCRIBED, ids=lambda drive: type(drive).__name__)
 def test_drives_work_under_all_transformations(drive):
     """jit with drive, time and phase traced; vmap over times; forward and reverse derivatives."""

@@ -61,6 +61,7 @@ def test_what_differs_has_another_digest():
     assert digest(FUNCTIONS["sum"], X.astype(np.int64)) != found["sum"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_what_is_traced_again_has_the_same_digest(name):
     function = FUNCTIONS[name]

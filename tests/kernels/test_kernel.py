@@ -110,6 +110,7 @@ def test_values_are_those_of_the_function(name):
     assert_same(jax.jit(fast(function))(*arguments), function(*arguments))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_batches_of_any_axes(name):
     function, (_, other) = CASES[name]
@@ -150,6 +151,7 @@ def test_derivatives_in_both_modes(mode):
     assert_same(found, mode(weighted(integrated), argnums=(0, 1))(*arguments), rtol=1e-11)
 
 
+@pytest.mark.slow
 def test_derivatives_of_batches_that_share_an_argument():
     xs = jnp.linspace(0.05, 1.4, 15).reshape(5, 3)
     total = lambda f: lambda rate: jnp.sum(jax.vmap(weighted(f), in_axes=(0, None))(xs, rate))  # noqa: E731
@@ -240,6 +242,7 @@ print(machine_code.vector_width(), hashlib.sha256(b"".join(x.tobytes() for x in 
 """
 
 
+@pytest.mark.slow
 def test_narrower_registers_give_the_same_bits():
     width, bits = in_a_new_process(BITS).split()
     narrow, same = in_a_new_process(BITS, "avx").split()
@@ -269,6 +272,7 @@ def by_turns(x, rate):
 LONG = kernel(by_jax, selection="fast", reverse=by_turns)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "derivative",
     [
@@ -297,6 +301,7 @@ def test_reverse_mode_takes_the_other_function():
     )
 
 
+@pytest.mark.slow
 def test_directions_are_one_kernel():
     """What does not depend on the directions is computed once for all of them."""
 

@@ -73,6 +73,7 @@ def equations(a, b):
     return jnp.linalg.solve(matrix, a[:, 0]), jnp.linalg.solve(matrix, a), jnp.linalg.inv(matrix)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "function", [elementwise, with_known_numbers, sums, products, around_in_loops, pieces, equations]
 )
@@ -97,6 +98,7 @@ def test_what_is_not_a_number_stays_where_it_is():
     np.testing.assert_array_equal(least, b)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("function", [elementwise, sums, products, equations])
 def test_code_does_not_grow_with_the_entries(function):
     def operations(short):
@@ -135,6 +137,7 @@ def test_derivatives_are_those_of_the_parts(batched):
             np.testing.assert_allclose(a, b, rtol=1e-13)
 
 
+@pytest.mark.slow
 def test_second_derivatives_and_reverse_mode_of_a_kernel_in_parts():
     def function(x):
         return jnp.sum(kernel(lambda x: jnp.sin(x) * jnp.cumsum(x), name="inner")(x) ** 2)

@@ -30,6 +30,7 @@ def solutions(matrix, right, vector):
     return jnp.linalg.solve(matrix, right), jnp.linalg.solve(matrix, vector), jnp.linalg.inv(matrix)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [1, 2, 7, 20])
 def test_equations_are_solved_with_pivots(n):
     matrix = RANDOM.normal(size=(n, n))
@@ -76,6 +77,7 @@ def places(x):
     return *shifts, long, several, at, written, added, rows, order, jnp.sort(jnp.cos(x * table[:9])), bits
 
 
+@pytest.mark.slow
 def test_places_that_are_computed():
     x = jnp.array([-0.3, 0.0, 0.1, 0.33, 0.5, 0.74])
     for found, wanted in zip(jax.vmap(strict(places))(x), jax.vmap(places)(x), strict=True):
@@ -148,6 +150,7 @@ def sums_over_rows(rows):
     return total, jnp.moveaxis(sums, 0, 1), jnp.swapaxes(blocks, 0, 2), backwards, constant, same
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [(70, 80, 3), (5, 80, 3), (80, 4, 2)])
 def test_rows_are_read_where_they_lie(shape):
     rows = jnp.asarray(RANDOM.normal(size=(3, *shape)))

@@ -67,6 +67,7 @@ def test_columns_are_those_of_numpy(indices, axis):
     np.testing.assert_array_equal(found, np.take(values, np.array(indices, int), axis=axis))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [(1, 1), (4, 4), (7, 3), (3, 7), (12, 13), (0, 3), (3, 0)])
 @pytest.mark.parametrize("rank", [1, 2, 13])
 def test_pseudo_inverse(shape, rank):
@@ -84,11 +85,13 @@ def test_pseudo_inverse(shape, rank):
         np.testing.assert_allclose(by_rule, (ends[0] - ends[1]) / 2e-5, rtol=1e-5, atol=1e-6 * np.abs(found).max())
 
 
+@pytest.mark.slow
 def test_pseudo_inverse_of_what_says_nothing():
     """Entries of rounding count as zero, not as each other's largest."""
     np.testing.assert_array_equal(vectors.pseudo_inverse(jnp.full((3, 2), 1e-14), 1e-9), np.zeros((2, 3)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [5, 20])  # by a kernel, and one sample after the other
 @pytest.mark.parametrize("columns", [(), (2,)])
 def test_equations_are_solved_with_derivatives_of_both_orders_in_both_modes(size, columns):
@@ -123,6 +126,7 @@ print(bool(jnp.isfinite(found).all()))
 """
 
 
+@pytest.mark.slow
 def test_several_equations_of_a_batch_do_not_wait_for_each_other():
     """With LAPACK's function for batches the process hangs with JAX 0.10 on two cores."""
     assert in_a_new_process(SEVERAL, timeout=120).split() == ["True"]

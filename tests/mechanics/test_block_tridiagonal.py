@@ -27,6 +27,7 @@ def dense(diagonal, lower):
     return matrix.reshape(6 * m, 6 * m)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("m", [1, 8, 9, 29])
 def test_solution_of_a_system(m):
     diagonal, lower = blocks(m)

@@ -61,6 +61,7 @@ class TestLaw:
         chi = chi_of_restitution(jnp.asarray(0.9), jnp.array([2.0, 1e-9]), jnp.asarray(1e-3))
         np.testing.assert_allclose(chi, [0.75 * 0.19 / 2.0, 0.75 * 0.19 / 1e-3], rtol=1e-14)
 
+    @pytest.mark.slow
     def test_derivatives_where_a_contact_touches_and_where_axes_meet(self):
         touching = jax.grad(lambda x: law().push(x, jnp.ones(()), jnp.ones(())).normal)(jnp.zeros(()))
         assert touching == 0.0
@@ -68,6 +69,7 @@ class TestLaw:
         np.testing.assert_array_equal(at_centre, 0.0)
         assert np.isfinite(jax.hessian(lambda e: distance(e, 0))(jnp.zeros(2))).all()
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("share", [0.0, 1e-5, 9.9e-3, 1.01e-2, 0.7, 30.0])
     def test_smooth_sign_of_sliding(self, share):
         def size(v):
@@ -85,9 +87,11 @@ def moved(pose, shift, turn):
 
 @pytest.mark.parametrize("holder", ["child", "parent"])
 class TestPinInBush:
+    @pytest.mark.slow
     def test_all_three_contacts_carry(self, holder):
         assert (np.asarray(pin(pin=holder).contacts(PRESSED).depth) > 0.0).all()
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("exponent", [1.0, 1.5])
     def test_wrench_is_minus_the_gradient_of_the_energy(self, holder, exponent):
         one = pin(pin=holder, exponent=exponent, centring=300.0, stiffness=4e7)
@@ -95,6 +99,7 @@ class TestPinInBush:
         gradient = jax.grad(lambda by: one.energy(moved(still, by[:3], by[3:])))(jnp.zeros(6))
         np.testing.assert_allclose(jnp.concatenate(one.wrench(still, START)), -gradient, rtol=1e-9, atol=1e-9)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("damper", DAMPERS)
     @pytest.mark.parametrize("friction", [{}, FRICTION], ids=["smooth", "rough"])
     def test_power_is_what_is_stored_and_lost(self, holder, damper, friction):
@@ -108,6 +113,7 @@ class TestPinInBush:
         np.testing.assert_allclose(power, -rate - lost, rtol=1e-10)
         assert lost >= 0.0 and (lost > 0.0) == bool(DAMPERS[damper] or friction)
 
+    @pytest.mark.slow
     def test_tangent_is_the_derivative_by_the_accelerations(self, holder):
         one = pin(pin=holder, damping=0.4, **FRICTION)
         tangent = one.tangent(PRESSED, START, 1e-8, 1e-4)

@@ -22,6 +22,7 @@ def roots(p, solved=None):
     return implicit_function(lambda x, inputs: x**2 - inputs["p"], solve, found, {"p": p, "name": "not an array"})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("derivative", [jax.jacfwd, jax.jacrev])
 def test_first_and_second_derivatives(derivative):
     np.testing.assert_allclose(roots(P), jnp.sqrt(P), rtol=1e-15)

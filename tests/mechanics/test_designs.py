@@ -35,6 +35,7 @@ def described_anew():
     return discretise(dataclasses.replace(nominal, links=links, joints=joints))
 
 
+@pytest.mark.slow
 def test_a_design_is_what_its_description_would_be():
     model = discretise(four_bar())
     made = designed(model, design(model, NEW))
@@ -89,6 +90,7 @@ def test_all_parameters_at_once(mechanism):
     assert float(pulled @ along) == pytest.approx(float(cotangent @ change), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_loops_are_closed_and_what_cannot_close_spoils_no_batch():
     model = discretise(four_bar())
 
@@ -131,6 +133,7 @@ def test_statics_of_a_design_and_its_derivatives():
         np.testing.assert_allclose(columns, difference, rtol=1e-6, atol=1e-6 * abs(difference).max())
 
 
+@pytest.mark.slow
 def test_a_parameter_deviates_like_an_error():
     # A length as a parameter's deviation under its full name, and as the error.
     model = discretise(four_bar(rfes=2))

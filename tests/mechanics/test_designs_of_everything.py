@@ -219,6 +219,7 @@ def leaves_of(model):
 FRAMES_OF_OTHERS = tuple(f"{joint}.{end}" for joint in "PUCLFRSB" for end in ("position", "orientation", "child_"))
 
 
+@pytest.mark.slow
 def test_every_number_alone_changes_what_its_description_would(described, model):
     source = model.source
     structure = PartStructure(model.topology, source.blueprint.points, source.blueprint.products)

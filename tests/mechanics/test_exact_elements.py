@@ -97,6 +97,7 @@ def test_rates_of_the_deflections_are_their_derivatives(exact):
     np.testing.assert_allclose(rate, derivative, rtol=1e-10, atol=1e-12 * np.abs(derivative).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [0.0, 1e-9, 1e-4, 0.04, 0.15, 0.5, 1.0])
 def test_deflections_meet_those_of_transforms_at_every_size(exact, size):
     """From angles within the series to rotations beyond 90 deg between neighbours."""
@@ -122,6 +123,7 @@ def angles_of(rotation):
     )
 
 
+@pytest.mark.slow
 def test_a_rigid_motion_of_both_faces_changes_nothing(exact):
     """All free rfes of a link rotate and shift together: only its first sde is deflected."""
     _, actual, state = exact
@@ -148,6 +150,7 @@ def test_a_rigid_motion_of_both_faces_changes_nothing(exact):
     assert np.abs(after[:, first] - before[:, first]).min(axis=1).max() > 0.1
 
 
+@pytest.mark.slow
 def test_both_forms_have_the_same_stiffness_when_undeformed():
     """The Hessian of the exact energy, by differentiating twice at zero, is the linear stiffness."""
     hessians = []
@@ -164,6 +167,7 @@ def test_both_forms_have_the_same_stiffness_when_undeformed():
         np.testing.assert_allclose(gap, 0.0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_second_derivatives_of_forces_at_zero_are_those_nearby():
     """No limit of a quotient, root or inverse sine may make them NaN or wrong."""
     _, actual = actual_chain("geometrically_exact")

@@ -147,6 +147,7 @@ def compared(request):
     return model, prescribed, jax.jit(jax.vmap(both if model.topology.minimum_norm else kernel(both)))(*samples)
 
 
+@pytest.mark.slow
 def test_accelerations_and_multipliers_agree(compared):
     model, _, out = compared
     fast, multipliers, slow, reference, *_ = out

@@ -57,6 +57,7 @@ class TestLaws:
             assert float(chord) >= float(derivative) * (1.0 - 1e-12)
         np.testing.assert_allclose(chord, derivative, rtol=1e-12)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("settings", [{"law": "tanh"}, {"law": "brown_mcphee", "static_constant": 2.1}])
     def test_chords_of_newtons_method(self, settings):
         """Whether it sticks, slides or turns round, few increments find the friction of an inertia from any guess."""
@@ -203,6 +204,7 @@ def without_loads(tree):
     return jax.tree.map(lambda x: x[:1], tree)
 
 
+@pytest.mark.slow
 def test_accelerations_and_multipliers_agree(compared):
     model, (slow, explicit, _) = compared
     slow, reference, friction = without_loads(slow)

@@ -187,6 +187,7 @@ def largest_gap(increment, exact):
     return max(np.abs(a - b).max() / np.abs(b).max() for a, b in pairs if b.size)
 
 
+@pytest.mark.slow
 def test_matrix_is_the_tangent_at_rest(mechanism):
     """Undeformed and at rest, without weight, one increment solves the linearised equations."""
     model, actual, _, _, prescribed = mechanism
@@ -220,6 +221,7 @@ def test_matrix_is_the_tangent_at_rest(mechanism):
     np.testing.assert_allclose(by_increment, by_exact, atol=1e-7 * np.abs(by_exact).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("elements", ["linear", "geometrically_exact"])
 def test_matrix_holds_for_links_that_are_bent_to_fit(elements):
     """Assembled with an error of 1 deg, over a step that makes springs as good as rigid: spectral radii of the
@@ -258,6 +260,7 @@ def exact_chain():
     return model, apply_errors(model, assembly_errors(model))
 
 
+@pytest.mark.slow
 def test_operators_of_exact_elements_are_the_linear_ones_at_the_undeformed_state(exact_chain):
     model, actual = exact_chain
     factors = jnp.asarray(3e-7), jnp.asarray(6e-4)

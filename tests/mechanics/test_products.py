@@ -54,6 +54,7 @@ def test_values(case, run):
     np.testing.assert_allclose(run(function)(*given), plain(*given), rtol=1e-14, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_derivatives_of_both_modes_and_of_second_order(case):
     function, plain, given = case
     shape = plain(*given).shape
@@ -75,6 +76,7 @@ def test_a_tangent_of_one_argument_and_of_none(case):
     assert through_constants == 2.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axes", [(0, 0), (-1, -1), (0, None), (None, 0), (1, 0), (-1, None), (0, -1)])
 def test_batches_on_any_axis(case, axes):
     function, plain, given = case

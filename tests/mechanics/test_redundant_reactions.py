@@ -214,6 +214,7 @@ def test_the_length_is_checked():
         door(redundant_reactions="refuse", reaction_length=1.0)
 
 
+@pytest.mark.slow
 def test_no_state_of_self_stress_makes_reactions_smaller_wherever_the_loop_is_cut():
     found = {}
     for cut in ("C", "D"):
@@ -230,6 +231,7 @@ def test_no_state_of_self_stress_makes_reactions_smaller_wherever_the_loop_is_cu
     np.testing.assert_allclose(found["C"], found["D"], rtol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [twisted_spatial_loop, slider_crank])
 def test_least_reactions_of_spatial_loops_and_slides(make):
     settings = {"gravity": (2.0, 5.0, -8.0), **LEAST}
@@ -241,6 +243,7 @@ def test_least_reactions_of_spatial_loops_and_slides(make):
     require_least(model, assembled.preload)
 
 
+@pytest.mark.slow
 def test_reactions_are_least_in_motion_in_both_formulations_of_a_step():
     model = discretise(loop())
     runs = [
@@ -263,6 +266,7 @@ def random_rotations(count):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gravity", [(0.0, 0.0, 0.0), (0.5, 3.0, -9.0)])
 def test_any_plane_and_any_mass(gravity):
     model = discretise(slider_crank(gravity=gravity))
@@ -295,6 +299,7 @@ def test_a_mechanism_that_rests_in_any_plane_is_described_alike():
         assert (describe(hung).rank, describe(hung).mobility) == (0, 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", [RungeKutta4(step=1e-4), GeneralisedAlpha(step=1e-4)])
 def test_nothing_acts_in_any_plane(method):
     model = turned(discretise(slider_crank(gravity=(0.0, 0.0, 0.0))), random_rotations(1)[3])
@@ -303,6 +308,7 @@ def test_nothing_acts_in_any_plane(method):
     np.testing.assert_allclose(run.angles["A"], np.radians(45), atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mass", [0.0, 1e-3, 10.0])
 def test_a_toggle_of_light_links_holds_its_load(mass):
     model = discretise(toggle(mass))
@@ -315,6 +321,7 @@ def test_a_toggle_of_light_links_holds_its_load(mass):
         np.testing.assert_allclose(np.linalg.norm(turn.loads[name].force[0]), arms, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_modes_in_any_plane():
     squares = []
     for rotation in random_rotations(1)[jnp.array([0, 3])]:
@@ -324,6 +331,7 @@ def test_modes_in_any_plane():
     np.testing.assert_allclose(squares[0], squares[1], rtol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["coupler.length", "D.d_x"])
 def test_derivatives_of_least_reactions(name):
     model = discretise(loop())
@@ -403,6 +411,7 @@ def test_the_dense_formulation_finds_the_same_reactions(make):
         np.testing.assert_allclose(moment / scale[1], dense[3:, j] / scale[1], atol=1e-9, err_msg=kind)
 
 
+@pytest.mark.slow
 def test_a_length_that_is_a_parameter_changes_the_norm():
     model = discretise(door())
 
@@ -417,6 +426,7 @@ def test_a_length_that_is_a_parameter_changes_the_norm():
     np.testing.assert_allclose((jax.jacfwd(across)(1.3), jax.grad(across)(1.3)), slope, rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("angle", [1e-2, 1e-5])
 def test_near_a_dead_centre_loads_are_large_and_right(angle):
     """A parallelogram that is almost stretched: the coupler pulls its rocker with the weight over the angle."""

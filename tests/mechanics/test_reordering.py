@@ -38,6 +38,7 @@ def test_every_row_has_one_place(order):
         reorder(X, order, axis=1)
 
 
+@pytest.mark.slow
 def test_both_modes_are_those_of_numpys_indexing():
     def plain(x):
         return jnp.sin(x[:, np.array(ORDER)]) * W
@@ -86,6 +87,7 @@ def test_groups_of_rows(counts, pair, run):
     np.testing.assert_allclose(run(found)(jnp.asarray(x)), expected(x), rtol=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("counts", COUNTS[:3])
 @pytest.mark.parametrize("pair", [repeated, summed])
 def test_derivatives_and_batches_of_groups(counts, pair):
@@ -99,6 +101,7 @@ def test_derivatives_and_batches_of_groups(counts, pair):
         np.testing.assert_allclose(both, np.stack([found(x), found(2.0 * x)]), rtol=1e-15)
 
 
+@pytest.mark.slow
 def test_counts_that_do_not_fit_are_refused():
     for function, counts in ((repeat, (1, 2)), (sum_groups, (1, 2))):
         with pytest.raises(ValueError, match="are not for 4 rows"):

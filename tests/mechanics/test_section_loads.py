@@ -119,6 +119,7 @@ def is_beyond(topology, l, node, place, middles, a, x):
     return 1.0 if middles[i] + place > x else 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LINKS)
 def test_loads_of_sections_are_what_the_rest_of_the_link_exerts(moving, name):
     model, out = moving

@@ -78,6 +78,7 @@ def test_recursion_alone_finds_the_equilibrium_and_its_derivatives(make, monkeyp
     np.testing.assert_allclose(backward, ahead, rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make, most", [(four_bar, 1e-3), (twisted_spatial_loop, 1e-2)])
 def test_the_preconditioner_is_nearly_exact(make, most):
     """Of a mechanism at rest, undeformed: spectral radius of the iteration."""
@@ -101,6 +102,7 @@ def test_the_preconditioner_is_nearly_exact(make, most):
     assert 0.0 < np.abs(np.linalg.eigvals(iteration())).max() < most
 
 
+@pytest.mark.slow
 def test_where_the_recursion_does_not_converge_the_jacobian_does(monkeypatch):
     """Weight alone holds a pendulum, no spring."""
     model = discretise(Mechanism([link("rod", 0.3, 3)], [Joint("A", "base", "rod", angle=1.4)]))
@@ -127,6 +129,7 @@ def test_where_the_recursion_does_not_converge_the_jacobian_does(monkeypatch):
     assert jax.jit(at)(gravity)[1] == NOT_ASSEMBLED
 
 
+@pytest.mark.slow
 def test_rates_of_a_start_that_moves_are_those_of_equilibria():
     """Of the same search: position, multipliers and status are those of rest."""
     model = discretise(four_bar(rfes=2))

@@ -4,11 +4,13 @@ import ast
 import io
 import json
 import os
+import signal
 import stat
 import subprocess
 import sys
 import time
 import tomllib
+from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
@@ -21,7 +23,7 @@ from rfem_jax.compilation import cache, keeping
 from rfem_jax.compilation.cache import user_cache_folder
 from rfem_jax.compilation.stages import listening, on_stage
 from rfem_jax.description import InputError
-from rfem_jax.report import command_line
+from rfem_jax.report import command_line, console
 from rfem_jax.report.command_line import build_parser, main
 from rfem_jax.report.commands.catalogue import all_commands
 from rfem_jax.report.process import count_devices, require_platform
@@ -65,6 +67,7 @@ def one_sentence(capsys):
     return lines[0]
 
 
+@pytest.mark.slow
 def test_run_prints_and_writes_everything(packages, runs, study_file, tmp_path, capsys):
     out = tmp_path / "deep" / "results"
     assert main(["run", str(study_file), "--out", str(out)]) == 0
@@ -77,6 +80,7 @@ def test_run_prints_and_writes_everything(packages, runs, study_file, tmp_path, 
     assert "Simulating 3 cases: 100 %" in captured.err
 
 
+@pytest.mark.slow
 def test_a_failed_case_is_exit_code_3_and_is_written(packages, runs, study_file, tmp_path, capsys):
     runs["P2"].status = 3
     assert main(["run", str(study_file), "--out", str(tmp_path)]) == 3
@@ -288,6 +292,7 @@ def answer_of(capsys, *arguments):
     return code, found, captured.err
 
 
+@pytest.mark.slow
 def test_an_answer_for_machines(packages, runs, study_file, tmp_path, capsys):
     """One document and nothing else on standard output, of every command."""
     runs["P2"].status = 3
@@ -305,6 +310,7 @@ def test_an_answer_for_machines(packages, runs, study_file, tmp_path, capsys):
     assert code == 2 and "missing.toml" in found["problems"][0] and said == found["problems"][0] + "\n"
 
 
+@pytest.mark.slow
 def test_quiet(packages, study_file, tmp_path, capsys):
     assert main(["run", str(study_file), "--out", str(tmp_path / "out"), "--quiet"]) == 0
     captured = capsys.readouterr()
@@ -335,6 +341,7 @@ def settings_in_a_new_process(tmp_path, arguments="", **environment):
     return answer.stdout.split()
 
 
+@pytest.mark.slow
 def test_jax_is_set_up_with_a_cache_in_the_users_folder(tmp_path):
     double, folder = settings_in_a_new_process(tmp_path)
     assert double == "True"
@@ -442,6 +449,24 @@ def seen_on_a_terminal(text):
     return lines
 
 
+@pytest.fixture
+def own_signals():
+    """What a process that is a command does with Ctrl-C is undone."""
+    before = signal.getsignal(signal.SIGINT)
+    yield
+    console.work_begins()
+    signal.signal(signal.SIGINT, before)
+
+
+def test_the_command_ends_without_looking_for_garbage(monkeypatch, own_signals):
+    asked = []
+    monkeypatch.setattr(command_line, "main", lambda: 3)
+    monkeypatch.setattr(command_line.gc, "freeze", lambda: asked.append("freeze"))
+    (script,) = entry_points(group="console_scripts", name="rfem-jax")
+    assert script.load()() == 3 and asked == ["freeze"]
+
+
+@pytest.mark.slow
 def test_a_check_loads_what_it_needs(tmp_path):
     """Integrators, optimisers, statistics and pictures take longer to import than the check itself."""
     study = Path(__file__).parents[2] / "studies" / "four_bar" / "study.toml"

@@ -49,6 +49,7 @@ def changed(path, old, new):
     path.write_text(text.replace(old, new, 1), encoding="utf-8")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("old", "new", "word"),
     [
@@ -79,6 +80,7 @@ def test_samples_of_another_study(task_file, tmp_path, capsys, nothing_computed,
     assert contents(out) == before
 
 
+@pytest.mark.slow
 def test_samples_of_another_accuracy_of_a_method_that_is_chosen(
     task_file,  # noqa: F811
     tmp_path,
@@ -172,6 +174,7 @@ def test_no_folder_at_all(task_file, tmp_path, capsys, monkeypatch, nothing_comp
     assert "must be a folder that can be written" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_tasks_that_keep_nothing_take_any_folder(task_file, tmp_path):  # noqa: F811
     out = tmp_path / "out"
     assert call("sensitivity", task_file, out) == 0

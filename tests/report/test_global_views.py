@@ -39,6 +39,7 @@ def path(answered_by):
     return answered_by(closed_form.build_problem, TABLES)
 
 
+@pytest.mark.slow
 def test_a_sweep_is_computed_written_drawn_and_continued(path, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["sweep", str(path), "--out", str(out)]) == 0
@@ -79,6 +80,7 @@ def test_the_pictures_of_a_sweep_show_its_points(path, tmp_path):
     assert len(contours.axes[0].collections) > 0
 
 
+@pytest.mark.slow
 def test_a_reliability_study_is_computed_written_and_drawn(path, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["reliability", str(path), "--out", str(out)]) == 0

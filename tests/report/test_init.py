@@ -73,6 +73,7 @@ def test_the_slider_crank_runs(tmp_path, monkeypatch):
     assert [case["status"] for case in cases.values()] == ["ok"] * 3
 
 
+@pytest.mark.slow
 def test_the_schema_is_printed(capsys):
     assert main(["keys", "--schema"]) == 0
     printed = json.loads(capsys.readouterr().out)

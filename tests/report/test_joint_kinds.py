@@ -72,6 +72,7 @@ def test_check_names_the_kinds_and_their_starts(study):
     assert "Idle" not in text and "lock" not in text
 
 
+@pytest.mark.slow
 def test_files_have_kinds_nulls_and_coordinates(study, run, tmp_path):
     runs = {"nominal": run}
     write_files(tmp_path, study, runs, summarise(study, runs, {"nominal": ("ok", "")}))

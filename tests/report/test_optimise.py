@@ -60,6 +60,7 @@ def path(answered_by):
     return answered_by(build_problem, TABLES)
 
 
+@pytest.mark.slow
 def test_an_optimum_is_computed_written_and_drawn(path, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["optimise", str(path), "--out", str(out)]) == 0

@@ -68,6 +68,7 @@ def out(tmp_path_factory):
     return folder / "out"
 
 
+@pytest.mark.slow
 def test_a_case_deviates(out):
     cases = json.loads((out / "results.json").read_text(encoding="utf-8"))["cases"]
     for name, height in (("nominal", SIDE), ("high", SIDE + 1e-3)):

@@ -46,6 +46,7 @@ def test_errors_that_nobody_reads():
     assert code in (1, 2)  # wrong input, if the line of progress before it has gone nowhere; no other, such as 120
 
 
+@pytest.mark.slow
 def test_a_command_that_prints_while_it_works(tmp_path):
     path = tmp_path / "study.toml"
     path.write_text(STUDY, encoding="utf-8")
@@ -76,6 +77,7 @@ class Unread(io.TextIOBase):
         return False
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["run", "check"])
 def test_it_is_no_folder_that_cannot_be_written(packages, study_file, tmp_path, monkeypatch, capsys, command):  # noqa: F811
     monkeypatch.setattr(sys, "stdout", Unread())

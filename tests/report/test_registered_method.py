@@ -120,6 +120,7 @@ def test_without_registration_nobody_knows_it():
         named_method("kutta3", step=1e-5)
 
 
+@pytest.mark.slow
 def test_a_solver_of_ones_own_needs_no_class_of_methods(registered, tmp_path):
     (tmp_path / "study.toml").write_text(RK4, encoding="utf-8")
     study = load_study(tmp_path / "study.toml")

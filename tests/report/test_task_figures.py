@@ -56,6 +56,7 @@ def draw(study, name, result):
     return report_on(study, name).pictures(result)
 
 
+@pytest.mark.slow
 def test_no_picture_is_blank(study, problem, tmp_path):
     figures = draw(study, "monte_carlo", scatter(problem))
     figures |= draw(study, "sensitivity", Derivatives(sensitivity(problem, scale=WIDTHS), False))

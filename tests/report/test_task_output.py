@@ -39,6 +39,7 @@ def contents(folder):
     return {path.name: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", COMMANDS)
 def test_the_same_command_twice_writes_the_same_files(task_file, tmp_path, command):
     out = tmp_path / "out"
@@ -109,6 +110,7 @@ def long_problem(study, metrics, model=None, trials=None):
     return Undamped(function, closed_form.NAMES, named, error_units={"D.d_y": "m"})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", [*COMMANDS, "check"])
 def test_no_printed_line_is_wider_than_a_terminal(task_file, tmp_path, capsys, monkeypatch, command):
     monkeypatch.setattr(study_problem, "build_problem", long_problem)
@@ -146,6 +148,7 @@ def test_columns_that_do_not_fit_follow_below_with_their_rows():
     assert wrap_lines("one two three", indent=1, width=8) == "one two\n three"
 
 
+@pytest.mark.slow
 def test_rounding_next_to_large_numbers_is_shown_as_zero(task_file, tmp_path, capsys, monkeypatch):
     assert show_number(3e-33, scale=21.0) == "0" and show_number(3e-33) == "3e-33"
     assert show_number(2e-12, scale=1.0) == "2e-12" and show_number(math.nan, scale=1.0) == "-"

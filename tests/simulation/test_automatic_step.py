@@ -42,6 +42,7 @@ def model():
     return discretise(four_bar(2))
 
 
+@pytest.mark.slow
 def test_assemblies_by_their_names(model):
     samples = first_samples(TOLERANCES, KEY)
     stacked = jax.vmap(lambda one: assembly_errors(model, one))(samples)
@@ -57,6 +58,7 @@ def test_assemblies_by_their_names(model):
     assert problem.method == chosen != choose_method(*settings)
 
 
+@pytest.mark.slow
 def test_a_sample_that_fails_does_not_spoil_the_choice(model, monkeypatch):
     settings = model, Automatic(accuracy=ACCURACY), DRIVE, DURATION
     samples = first_samples(TOLERANCES, KEY, 3)
@@ -80,6 +82,7 @@ def test_the_first_samples_are_those_of_the_study():
             np.testing.assert_array_equal(samples[name], found[:5, i])
 
 
+@pytest.mark.slow
 def test_other_samples_are_as_accurate(model):
     tried = first_samples(TOLERANCES, KEY)
     chosen = choose_method(model, Automatic(accuracy=ACCURACY), DRIVE, DURATION, tried)

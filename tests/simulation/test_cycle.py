@@ -31,6 +31,7 @@ def arm():
     return discretise(Mechanism([link], [Joint("A", "base", "arm")], driven_joint="A"))
 
 
+@pytest.mark.slow
 def test_a_cycle_is_what_many_revolutions_come_to(arm):
     rate = 12.0
     period = 2 * np.pi / rate

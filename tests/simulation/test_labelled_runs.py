@@ -75,6 +75,7 @@ def test_a_dataset_of_all_cases(runs):
     assert lacking == [] and all(found[name].attrs["long_name"] for name in found.data_vars)
 
 
+@pytest.mark.slow
 def test_contacts_of_pins(tmp_path):
     xarray = pytest.importorskip("xarray", reason="the extra xarray is not installed")
     method = GeneralisedAlpha(step=1e-4)

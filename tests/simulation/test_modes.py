@@ -21,6 +21,7 @@ def weightless(model):
     return eqx.tree_at(lambda m: m.gravity, model, jnp.zeros(3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("locked", [True, False])
 def test_modes_of_a_perfect_four_bar_are_those_of_its_vibration(locked):
     """Which `vibration` finds from the velocities of free bodies; without weight, which it neglects."""
@@ -51,6 +52,7 @@ def cantilever(rfes=9):
     return weightless(discretise(Mechanism([bar], [Joint("A", "base", "bar")], driven_joint="A")))
 
 
+@pytest.mark.slow
 def test_a_square_cantilever_has_its_frequencies_in_pairs_with_closed_form_derivatives():
     """Slender beam: f = 1.8751^2 / (2 pi L^2) sqrt(EI / rho A), of segments and with shear within a percent; twice,
     along both axes of the square."""
@@ -102,6 +104,7 @@ def test_preload_by_errors_moves_frequencies_as_their_derivatives_say():
     np.testing.assert_allclose(forward, (at[0] - at[1]) / (2 * step), rtol=1e-4, atol=1e-5 * np.abs(forward).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("angle", "sign"), [(np.pi / 2, 1.0), (-np.pi / 2, -1.0)])
 def test_a_pendulum_swings_below_and_falls_from_above(angle, sign):
     """y of the hinge and x of the arm: at +90 deg the arm hangs."""

@@ -117,6 +117,7 @@ def test_derivatives_by_the_weights_of_networks(kind, method):
     np.testing.assert_allclose(forward, difference, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_design_beside_weights_that_are_differentiated():
     weights, rest = eqx.partition(network(jnp.tanh), eqx.is_inexact_array)
     numbers, tree = ravel_pytree(weights)

@@ -21,6 +21,7 @@ def run(small):
     return jax.tree.map(np.asarray, small.run({"D.delta_x": 0.004}))
 
 
+@pytest.mark.slow
 def test_ends_of_a_rigid_crank_and_of_two_links_that_meet(run):
     direction = np.stack([np.cos(run.angle), 0.0 * run.angle, -np.sin(run.angle)], axis=1)
     np.testing.assert_allclose(run.ends["crank"], 0.12 * direction, rtol=0, atol=1e-12)
@@ -139,6 +140,7 @@ def test_a_full_turn_of_a_driven_crank_is_no_change_of_branch():
         np.testing.assert_array_equal(modes, modes[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cut", ["B", "C", "D"])
 def test_the_side_of_a_four_bar_wherever_it_is_cut(cut):
     """Over a turn of the crank each way to close it has its side: it changes where coupler and rocker are in line."""

@@ -50,6 +50,7 @@ def itself(function):
     return function
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("counts", [(3, 9), (17, 65)], ids=["links in one piece", "links in segments"])
 def test_program_does_not_grow_with_the_number_of_rfes(small, counts, monkeypatch):
     # Without its jit, which would return what another test has traced.
@@ -65,6 +66,7 @@ def test_program_does_not_grow_with_the_number_of_rfes(small, counts, monkeypatc
     assert sizes[0] > 1000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("transformed", [itself, jax.jacfwd, jax.grad], ids=["value", "forward", "reverse"])
 def test_kinematics_are_traced_once_for_all_their_places(transformed, monkeypatch):
     """They stand in static start, steps, matrix, loads and balances, and in the rules of their derivatives."""
@@ -86,6 +88,7 @@ def test_kinematics_are_traced_once_for_all_their_places(transformed, monkeypatc
     assert 1 <= len(places) <= contexts
 
 
+@pytest.mark.slow
 def test_new_numbers_do_not_retrace(small):
     traced = eqx.debug.assert_max_traces(integration.prepare, max_traces=1)
 
@@ -106,6 +109,7 @@ def test_new_numbers_do_not_retrace(small):
     assert not np.allclose(first, second)
 
 
+@pytest.mark.slow
 def test_a_failed_sample_does_not_spoil_its_batch(small):
     model = small.model
 
@@ -120,6 +124,7 @@ def test_a_failed_sample_does_not_spoil_its_batch(small):
     assert STATUS[NOT_ASSEMBLED].name == "not_assembled"
 
 
+@pytest.mark.slow
 def test_a_diverging_run_says_so(small):
     settings = {**small.settings, "method": RungeKutta4(step=2e-4)}
     run = simulate(Simulation(small.model, **settings), None)
@@ -127,6 +132,7 @@ def test_a_diverging_run_says_so(small):
     assert "step is too large" in STATUS[DIVERGED].message
 
 
+@pytest.mark.slow
 def test_cases_in_pieces_equal_single_runs(small):
     study = Study(
         "small",

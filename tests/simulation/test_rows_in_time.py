@@ -84,6 +84,7 @@ def test_steps_between_rows_are_not_more_than_all_others():
     assert shared is not None and shared.most is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "method",
     [
@@ -106,6 +107,7 @@ def test_a_pulse_within_a_step_gives_its_impulse(bar, method):
         assert int(run.status) == 0 and float(run.energy_balance_error) < 5e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jump", [False, True])
 def test_an_uneven_pulse_gives_its_impulse(bar, jump):
     """Rows of any distances, one of them a jump: impulse by the trapezoidal rule, exact for straight lines."""
@@ -117,6 +119,7 @@ def test_an_uneven_pulse_gives_its_impulse(bar, jump):
     np.testing.assert_allclose(run.rate[-1], wanted, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_moment_at_a_point_and_a_prescribed_motion():
     """Tables of forces and of prescribed motions are seen as well: a bump that is over within a step."""
     joint = Joint("A", "base", "bar")
@@ -134,6 +137,7 @@ def test_a_moment_at_a_point_and_a_prescribed_motion():
     assert seen == pytest.approx(fine, rel=0.02) and fine > 10.0
 
 
+@pytest.mark.slow
 def test_a_rise_within_a_step_is_seen(bar):
     """The acceleration of a spin-up vanishes at both of its ends."""
     drive = PrescribedSpinUp("A", 30.0, 1e-3)
@@ -141,6 +145,7 @@ def test_a_rise_within_a_step_is_seen(bar):
     np.testing.assert_allclose(*found, rtol=0.05)
 
 
+@pytest.mark.slow
 def test_steps_of_many_lengths_stay_smooth(bar):
     """A smooth moment in rows of irregular distances, each a step: as accurate as with even ones, and accelerations do
     not oscillate from step to step."""

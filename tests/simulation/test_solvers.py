@@ -75,6 +75,7 @@ def test_loop_over_steps_is_diffrax_s_own_loop(small, name):
     assert np.all(np.asarray(solution[1][-1]) <= np.asarray(carry.peaks) * (1 + 1e-6))
 
 
+@pytest.mark.slow
 def test_a_failure_of_newton_s_method_is_the_result_of_diffeqsolve(small):
     """One Newton increment is not enough for a long step whose iteration matrix has links far too soft."""
     method = GeneralisedAlpha(step=5e-3, corrections=1)
@@ -99,6 +100,7 @@ def test_a_failure_of_newton_s_method_is_the_result_of_diffeqsolve(small):
     assert result == diffrax.RESULTS.nonlinear_max_steps_reached
 
 
+@pytest.mark.slow
 def test_peaks_are_the_maxima_of_a_fine_history(small):
     """Running maxima without a history against the saved history at every step."""
     settings = {**small.settings, "save_every": 2e-5}
@@ -155,6 +157,7 @@ def test_other_methods_agree_with_runge_kutta(small, method):
     np.testing.assert_allclose(run.loads["A"].force[-1], exact.loads["A"].force[-1], rtol=2e-3, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_leapfrog_needs_a_velocity_of_second_order():
     """On x'' = -k x - c x' the method is of order 2; its order would drop to 1 if the damping read
     a lagging velocity."""

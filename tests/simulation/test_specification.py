@@ -43,6 +43,7 @@ def simulation(model):
     return Simulation(model, drive=MomentRamp("A", 1.5, 0.01), duration=0.01, method=METHOD, save_every=1e-3)
 
 
+@pytest.mark.slow
 def test_the_method_is_chosen_where_none_is_given(model):
     drive = MomentRamp("A", 1.5, 0.01)
     chosen = Simulation(model, drive=drive, duration=0.05)
@@ -68,6 +69,7 @@ def test_the_simulation_of_a_study(tmp_path):
     assert Simulation.of(study, model=model, method=METHOD).model is model
 
 
+@pytest.mark.slow
 def test_numbers_of_the_drive_and_of_the_design_are_traced(model, simulation):
     def moment(height, peak):
         changed = dataclasses.replace(

@@ -71,6 +71,7 @@ def test_auto_must_be_chosen_before_times_are_divided(small):
         grid_for(small.drive, 0.02, Automatic(), None)
 
 
+@pytest.mark.slow
 def test_simulations_confirm_the_limit(small, method="rk4"):
     """Just below the limit the run is fine, just above it diverges."""
     limit = largest_stable_step(small.model, named_method(method, step=1e-6))

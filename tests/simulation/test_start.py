@@ -98,6 +98,7 @@ class TestWithoutADrive:
         other = simulate(Simulation(driven, drive=MomentTable("A", [0.0, 1.0], [0.0, 0.0]), **settings))
         np.testing.assert_allclose(run.angles["D"], other.angles["D"], rtol=0, atol=1e-12)
 
+    @pytest.mark.slow
     def test_an_equilibrium_is_there_for_who_asks(self):
         model = discretise(falling())
         run = simulate(Simulation(model, drive=None, duration=0.01, method=RungeKutta4(step=5e-3), start="equilibrium"))
@@ -109,6 +110,7 @@ class TestWithoutADrive:
         back = simulate(Simulation(same, drive=None, duration=0.01, method=RungeKutta4(step=5e-3), start="as_given"))
         np.testing.assert_allclose(back.angles["A"][0], -np.pi / 2, rtol=0, atol=1e-14)
 
+    @pytest.mark.slow
     def test_a_flexible_bar_sags_and_is_let_go(self):
         """Its preload is a cantilever's, moment of the hold included; loads of the first instant are of the bar that
         falls: no moment about the hinge, a quarter of the weight at a rigid one."""
@@ -128,6 +130,7 @@ class TestWithoutADrive:
         run = simulate(Simulation(rigid, drive=None, duration=1e-3, method=IMPLICIT, save_every=1e-3))
         np.testing.assert_allclose(np.linalg.norm(run.loads["A"].force[0]), 0.25 * weight, rtol=1e-3)
 
+    @pytest.mark.slow
     def test_a_spring_on_a_free_motion_holds_nothing(self):
         spring = JointSpring("coil", "A", stiffness=50.0)
         mechanism = Mechanism([link("bar", 0.5)], [Joint("A", "base", "bar", angle=0.3)], forces=[spring])
@@ -278,6 +281,7 @@ class TestRates:
         same = integration.prepare(other, assembly_errors(other), None, None).state.velocity.joints
         np.testing.assert_allclose(same, rates, rtol=1e-12)
 
+    @pytest.mark.slow
     def test_of_a_flexible_bar(self):
         """Quasi-static: the whole bar turns about the hinge, with the change of its sag."""
         joint = Joint("A", "base", "bar", angle=0.0, rate="60 rpm")
@@ -286,6 +290,7 @@ class TestRates:
         inertia = 7850.0 * 1e-4 * 0.5**3 / 3.0
         assert float(run.energy.kinetic[0]) == pytest.approx(0.5 * inertia * (2.0 * np.pi) ** 2, rel=1e-2)
 
+    @pytest.mark.slow
     def test_lists_and_slides(self):
         body = Link("ball", 0.2, body=RigidBody(0.5, (0, 0, 0), (1e-3, 1e-3, 1e-3)))
         rates = ["1 m/s", 0, "2 m/s", "60 rpm", 0, 1.0]
@@ -342,6 +347,7 @@ class TestWhyNot:
     def status(self, model, errors=None, **more):
         return STATUS[int(assemble(model, assembly_errors(model, errors or {}), **more).status)]
 
+    @pytest.mark.slow
     def test_a_loop_in_which_nothing_gives(self):
         loop = four_bar(None, redundant_reactions="minimum_norm")
         for error in ("D.delta_x", "D.d_y", "B.child.delta_z"):
@@ -352,6 +358,7 @@ class TestWhyNot:
         assert self.status(discretise(compliant_four_bar(rfes=None)), {"D.d_y": 1e-3}).name == "ok"
         assert self.status(discretise(four_bar(2)), {"D.d_x": 0.5}).name == "not_assembled"
 
+    @pytest.mark.slow
     def test_a_freedom_that_nothing_holds(self):
         body = Link("bar", 0.2, body=RigidBody(0.5, (0.1, 0.02, 0.0), (1e-4, 2e-3, 2e-3)))
         for joint in (
@@ -401,6 +408,7 @@ class TestDerivatives:
         assert float(zero.state.position.joints[0]) == pytest.approx(-np.pi / 2, abs=1e-14)
 
 
+@pytest.mark.slow
 def test_new_numbers_do_not_retrace_and_batches_start_each_on_its_own():
     model = discretise(undriven(four_bar(2)))
     traced = eqx.debug.assert_max_traces(integration.prepare, max_traces=1)
@@ -416,6 +424,7 @@ def test_new_numbers_do_not_retrace_and_batches_start_each_on_its_own():
     np.testing.assert_allclose(runs.state.position.joints[:2, 0], -np.pi / 2, atol=1e-14)
 
 
+@pytest.mark.slow
 def test_point_masses_hang_where_they_are_told():
     """A pendulum of a mass and a massless-looking rod on a universal joint: both angles are held."""
     bob = Link("bob", 0.4, body=RigidBody(0.01, (0.2, 0, 0), (1e-6, 1e-4, 1e-4)), point_masses=[PointMass(1.0, 0.4)])
@@ -447,6 +456,7 @@ class TestStudyFiles:
         path.write_text(text, encoding="utf-8")
         return load_study(path)
 
+    @pytest.mark.slow
     def test_runs_say_what_their_start_held(self, tmp_path):
         wanted = {
             "as_given": ((), np.radians(30.0), ["A"]),

@@ -13,6 +13,7 @@ from tests.evaluation import evaluated
 from tests.mechanisms import BAR, STEEL, four_bar, link
 
 
+@pytest.mark.slow
 def test_an_arm_is_held_against_its_weight_over_a_revolution():
     length, gravity = 0.3, 9.81
     model = discretise(Mechanism([link("arm", length)], [Joint("A", "base", "arm", angle=0.2)], driven_joint="A"))

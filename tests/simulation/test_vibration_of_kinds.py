@@ -51,6 +51,7 @@ def test_eigenvalues_are_those_of_the_equations_of_motion(make):
         assert np.abs(got - one).min() < 1e-7 * np.abs(one)
 
 
+@pytest.mark.slow
 def test_a_step_beyond_the_stable_one_is_refused_and_diverges():
     model = discretise(loop_cut_by("prismatic"))
     limit = check_step(model, RungeKutta4(step=1e-7))

@@ -80,6 +80,7 @@ def loaded(request):
     return m, {name: jax.tree.map(lambda x: np.asarray(x)[i], results) for i, name in enumerate(cases)}
 
 
+@pytest.mark.slow
 def test_axial_load_stretches_by_FL_over_EA(loaded):
     m, results = loaded
     u, phi = tip_of(results["axial"].state.position.elastic, LENGTH, m)
@@ -209,6 +210,7 @@ def test_frequencies_in_bending_only(m):
         np.testing.assert_allclose(nearest(values, plane * expected), plane * expected, rtol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("m", [4, 20])
 def test_frequencies_with_shear_and_rotary_inertia(m):
     """nu = 0.3, shear factor 1.2; L/h = 20 in the plane of motion, 10 out of it."""

@@ -35,6 +35,7 @@ from rfem_jax.validation.rigid_links import body
 
 
 class TestSingleImpact:
+    @pytest.mark.slow
     @pytest.mark.parametrize(("steps", "status"), [(12, "contact_not_resolved"), (28, "ok")])
     def test_an_impact_that_the_steps_do_not_follow_is_named_and_spoils_no_other(self, steps, status):
         """Steps of half a contact lose a tenth of the speed, those of a fifth less than a hundredth; a slower pin has
@@ -56,6 +57,7 @@ class TestSingleImpact:
         assert (away < 0.01, float(balances[0]) < 0.03) == (status == "ok",) * 2
         np.testing.assert_allclose(kinetic[1], 0.5 * MASS * 0.2**2, rtol=1e-8)  # the weak spring centres the pin
 
+    @pytest.mark.slow
     def test_steps_that_follow_contact_resolve_an_impact_within_one_of_them(self):
         """Any step gives the rebound; of a batch one sample hits, one hits later, one touches nothing."""
         model, duration = guided(restitution=0.9), 8.2e-4
@@ -90,6 +92,7 @@ class TestSingleImpact:
         alone = jax.jit(of_speed)(speeds[1])
         np.testing.assert_allclose(kinetic[1], alone[1], rtol=1e-9)
 
+    @pytest.mark.slow
     def test_a_step_that_is_tried_too_often_is_told(self, monkeypatch):
         monkeypatch.setattr(contact_steps, "MOST_TRIALS", 3)
         model, duration = guided(restitution=0.9), 8.1e-4
@@ -132,6 +135,7 @@ class TestSingleImpact:
         alone = [float(jax.jit(of_speed)(speed)[1]) for speed in speeds[1:]]
         np.testing.assert_allclose(kinetic[1:], alone, rtol=1e-6)
 
+    @pytest.mark.slow
     def test_smaller_contact_tolerances_are_more_accurate(self):
         model, duration = guided(restitution=0.9), 8.2e-4
 
@@ -250,6 +254,7 @@ def test_accelerations_of_the_method_move_with_the_length_unless_they_vibrate():
     np.testing.assert_allclose(moved(1e-5, 0.0), away, rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("length", "before", "share"), [(1e-5, 1e-5, 1.0), (1e-5, 4e-5, 0.25), (2e-5, 1e-5, 1.0)])
 def test_derivatives_of_accelerations_that_are_zero(length, before, share):
     """As those of motions out of plane without errors, which may be vibrations: they do not grow with the length."""

@@ -105,6 +105,7 @@ class TestFourBarOnBushings:
         "D": ((0.0, -27.3683361039, 0.0), (7.20076623163, 0.0, 8.85253895867)),
     }
 
+    @pytest.mark.slow
     def test_at_rest_with_the_crank_held(self, bushed):
         assembled = assemble(bushed, assembly_errors(bushed, TILTED))
         assert int(assembled.status) == 0
@@ -146,6 +147,7 @@ class TestFourBarOnBushings:
             derivative = (loads(at + step) - loads(at - step)) / (2.0 * step[n])
             np.testing.assert_allclose(forward[:, n], derivative, rtol=1e-5)
 
+    @pytest.mark.slow
     def test_in_motion(self, bushed):
         method = RungeKutta4(step=1e-5)
         assert largest_stable_step(bushed, method) > 4e-5
@@ -164,6 +166,7 @@ class TestFourBarOnBushings:
         for part in (run.energy_balance_error, run.momentum_balance_error, run.hinge_moment_error):
             assert float(part) < 1e-7
 
+    @pytest.mark.slow
     def test_bearings_a_hundred_times_as_stiff_in_long_steps(self, bushed):
         """The largest stable step of an explicit method is 5e-6 s; four Newton increments a step are enough."""
         model = stiffer(bushed, 100.0)
@@ -178,6 +181,7 @@ class TestFourBarOnBushings:
         np.testing.assert_allclose(np.hypot(*across), 0.3, rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("elements", ["linear", "geometrically_exact"])
 def test_stiff_bearings_approach_ideal_ones_where_a_link_is_flexible(elements):
     """The difference is of first order in the compliance."""
@@ -214,6 +218,7 @@ class TestSprings:
         body = Link("block", 0.1, self.NO_MASS, rigid=True, point_masses=[PointMass(mass, 0.0, (1e-3, 1e-3, 1e-3))])
         return discretise(Mechanism([body], [joint], gravity=gravity))
 
+    @pytest.mark.slow
     def test_springs_in_series_carry_what_their_compliances_say(self):
         """Two rods between walls: too long by a length, and twisted against each other."""
         stiffness, torsion = (2e6, 3e6, 5e6), (200.0, 300.0)
@@ -238,6 +243,7 @@ class TestSprings:
             np.testing.assert_allclose(np.abs(assembled.preload[joint].moment[0]), moment, rtol=1e-9)
         np.testing.assert_allclose(assembled.state.position.joints[0], -force / stiffness[0], rtol=1e-9)
 
+    @pytest.mark.slow
     def test_a_weight_on_tables(self):
         """Along one axis another table in each sense; across it one over the resultant."""
         hook = Compliance(
@@ -285,6 +291,7 @@ class TestSprings:
         np.testing.assert_allclose(values, np.sort(np.sqrt(squares)), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_tilt_is_smooth_at_zero_and_depends_on_the_angle_alone():
     spring = compliant_spring(SprungDirection("tilt", ("R_x", "R_z"), 3.0, 0.0), (0, 1), (0, 1), ())
     zero = jnp.zeros(2)
@@ -308,6 +315,7 @@ def test_a_tilt_is_smooth_at_zero_and_depends_on_the_angle_alone():
 class TestDrives:
     ARM: ClassVar = [Link("arm", 0.2, BAR, STEEL, rigid=True)]
 
+    @pytest.mark.slow
     def test_a_prescribed_angle_where_the_tilt_is_rigid(self):
         """At a constant rate the bearing carries the centripetal force, and gives by it over the stiffness."""
         bearing = Compliance(radial=1e5, axial=1e5, radial_damping=60.0)

@@ -84,6 +84,7 @@ def bent(request):
     return request.param, values, dict(zip(METRICS, at_none)), (longer - shorter) / (2 * STEP)
 
 
+@pytest.mark.slow
 def test_stress_and_deflection_of_a_cantilever_are_those_of_beam_theory(bent):
     _, _, values, _ = bent
     stress, end, mass = expected()
@@ -155,6 +156,7 @@ def test_derivatives_by_the_section_of_a_design_are_those_of_the_closed_forms_in
     np.testing.assert_allclose(backward, np.asarray(weights) @ forward, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_derivatives_are_finite_without_load():
     problem = problem_of(cantilever(force=0.0, torque=0.0))
 
@@ -168,6 +170,7 @@ def test_derivatives_are_finite_without_load():
     assert np.isfinite(evaluated(jax.grad(lambda x: jnp.sum(values(x))))(zero))
 
 
+@pytest.mark.slow
 def test_the_tension_of_a_turning_bar_is_that_of_its_mass_farther_out():
     """rho A w^2 (L^2 - x^2) / 2 along a rigid bar, plus a point mass at its end."""
     rate, mass = 40.0, 0.2
@@ -242,6 +245,7 @@ def bearing_run(force, rate, times, rolling="ball"):
     return SimpleNamespace(times=times, loads={"A": loads}, recorded=recorded)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rolling", "power"), [("ball", 3.0), ("roller", 10 / 3)])
 def test_the_life_of_an_oscillating_bearing_is_that_of_its_swept_angle(rolling, power):
     swing, periods, load = 0.4, 3, 600.0
@@ -266,6 +270,7 @@ def test_the_life_of_an_oscillating_bearing_is_that_of_its_swept_angle(rolling, 
     assert pytest.approx(2e6 * np.pi) == MILLION_REVOLUTIONS
 
 
+@pytest.mark.slow
 def test_an_unloaded_bearing_lives_for_ever_and_has_derivatives():
     times = jnp.linspace(0.0, 1.0, 11)
 
@@ -279,6 +284,7 @@ def test_an_unloaded_bearing_lives_for_ever_and_has_derivatives():
         assert all(np.isfinite(value) for value in one.values())
 
 
+@pytest.mark.slow
 def test_the_loads_of_a_crank_s_bearing_and_its_power():
     """A pendulum that a motor turns at a constant rate: moment and power are those of its weight."""
     rate, mass, gravity = 5.0, 0.3, 9.81

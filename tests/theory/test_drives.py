@@ -129,6 +129,7 @@ class TestSliderCrank:
     def speed(self, times):
         return np.asarray(jax.vmap(jax.grad(slide))(self.START + RATE * jnp.asarray(times))) * RATE
 
+    @pytest.mark.slow
     def test_the_slider_drives_the_crank(self, by_crank):
         """The slider moves as the crank at a constant rate makes it move, from its start rate on."""
         model = slider_crank("G", self.START)
@@ -145,6 +146,7 @@ class TestSliderCrank:
         np.testing.assert_allclose(run.energy.work, by_crank.energy.work, rtol=0, atol=1e-6)
         assert float(run.energy_balance_error) < 1e-7 and float(run.momentum_balance_error) < 1e-10
 
+    @pytest.mark.slow
     def test_a_force_on_the_slider_of_a_driven_crank(self, by_crank):
         """Prescribed motion and given force in one loop, the force with a jump: virtual power of the force."""
         model = slider_crank(["A", "G"], self.START)
@@ -239,6 +241,7 @@ PUSH = ForceFunction("P", lambda t, phase: Arm.forces(t)[1])
 class TestArm:
     """Two drives at once on an open chain: its inverse dynamics in closed form."""
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         ("drives", "method"), [([SLIDE, ROTATION], EXPLICIT), ([ROTATION, PUSH], IMPLICIT)], ids=["prescribed", "mixed"]
     )
@@ -258,6 +261,7 @@ class TestArm:
         assert float(run.energy_balance_error) < (1e-7 if method is EXPLICIT else 1e-4)
         assert float(run.momentum_balance_error) < 1e-9
 
+    @pytest.mark.slow
     def test_derivatives_by_numbers_of_both_drives(self):
         """The rate of one drive and the force of the other, whose rise ends within the run."""
 
@@ -274,6 +278,7 @@ class TestArm:
         differences = [(end(at + d) - end(at - d)) / (2.0 * d.sum()) for d in jnp.diag(1e-4 * at)]
         np.testing.assert_allclose(forward, np.array(differences).T, rtol=1e-6)
 
+    @pytest.mark.slow
     def test_auto_and_the_largest_step(self):
         drives = [ROTATION, PUSH]
         assert check_step(Arm.model(), EXPLICIT, drives) > EXPLICIT.step

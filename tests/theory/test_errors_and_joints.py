@@ -48,6 +48,7 @@ def preloads(four_bar):
     }
 
 
+@pytest.mark.slow
 def test_a_tilted_seat_stresses_the_loop(preloads):
     assert all(np.abs(load).max() > 1.0 for load in preloads(1).values())
     assert all(np.abs(load).max() < 1e-9 for load in preloads(0).values())
@@ -86,6 +87,7 @@ def flexibility(of, at):
     return np.sum((of - shared) * (at - shared) / EI + 1.0 / GA) * LENGTH / SEGMENTS
 
 
+@pytest.mark.slow
 def test_hinge_between_the_ends_loads_its_own_rfe():
     """A mass hangs from the beam: vertically, so it loads it with its weight."""
     mass, g = 2.0, LOAD / 2.0
@@ -108,6 +110,7 @@ def test_hinge_between_the_ends_loads_its_own_rfe():
     np.testing.assert_allclose(result.preload["A"].moment, [0.0, -LOAD * WHERE, 0.0], atol=1e-6 * LOAD)
 
 
+@pytest.mark.slow
 def test_cut_joint_between_the_ends_props_the_beam():
     """A rigid strut from the ground holds the beam at WHERE; the load at the tip is shared as the
     beam's flexibilities say."""

@@ -74,6 +74,7 @@ def errors(run):
     return (found * rotation.inv()).magnitude().max(), np.abs(run.displacements["O"] - place).max(), angles[:, 1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "turned", "moved"),
     [

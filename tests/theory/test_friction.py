@@ -76,6 +76,7 @@ class TestFlywheel:
         )
         return one_body(wheel, "revolute", cut, friction)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("cut, method, tolerance", [(False, RK4, 1e-8), (True, IMPLICIT, 2e-5)], ids=str)
     def test_rate_load_and_energy(self, cut, method, tolerance):
         model = self.model(cut)
@@ -136,6 +137,7 @@ class TestRotorOnSprings:
 
     MASS, STIFFNESS, INERTIA, COEFFICIENT, RADIUS = 2.0, 2e5, 0.012, 0.2, 0.01
 
+    @pytest.mark.slow
     @in_tree_or_cut
     def test_run_down(self, cut):
         wheel = body("body", self.MASS, inertia=(self.INERTIA,) * 3)
@@ -168,6 +170,7 @@ class TestInclinedGuide:
 
     SLOPE, MASS, START, COEFFICIENT, LENGTH = np.radians(20.0), 0.5, 0.3, 0.15, 0.04
 
+    @pytest.mark.slow
     @in_tree_or_cut
     @pytest.mark.parametrize("overhang", [0.0, 0.03])
     def test_acceleration(self, cut, overhang):
@@ -216,6 +219,7 @@ class TestFromRest:
         run = simulate(Simulation(model, drive=None, start=with_rates(model), **settings))
         return run, (run.displacements["F"][:, 0] if model.topology.n_cuts else run.displacements["G"])
 
+    @pytest.mark.slow
     @in_tree_or_cut
     def test_it_slides(self, cut):
         run, path = self.run(self.made(cut, 0.19))
@@ -227,6 +231,7 @@ class TestFromRest:
         np.testing.assert_allclose(run.friction_losses["shoe"], friction * along, rtol=1e-4)
         assert float(run.energy_balance_error) < 1e-6 and float(run.hinge_moment_error) < 1e-6
 
+    @pytest.mark.slow
     @in_tree_or_cut
     @pytest.mark.parametrize("more", [{}, {"law": "brown_mcphee", "static_coefficient": 0.251}], ids=str)
     def test_it_binds(self, cut, more):
@@ -243,6 +248,7 @@ class TestFromRest:
         np.testing.assert_allclose(path[2] - path[1], creep * 0.05, rtol=1e-5)
         np.testing.assert_allclose(path[1], creep * 0.05, rtol=0.0, atol=creep * self.STEP)
 
+    @pytest.mark.slow
     @in_tree_or_cut
     def test_a_push_that_jumps(self, cut):
         """It is held, and slides when the push becomes larger than friction."""
@@ -255,6 +261,7 @@ class TestFromRest:
         along = 0.5 * (self.PUSH - friction) / self.MASS * 0.05**2
         np.testing.assert_allclose(path[2] - path[1], along, rtol=1e-3)
 
+    @pytest.mark.slow
     def test_derivatives(self):
         """Of the path by the coefficient, sliding and bound, in both modes."""
         for offset in (0.19, 0.21):
@@ -333,6 +340,7 @@ class TestPendulum:
 
         return run
 
+    @pytest.mark.slow
     def test_motion_energy_and_derivatives(self):
         end, at = self.made(), jnp.asarray(self.NUMBERS)
         along = at * jnp.array([1.0, -0.5, 0.7, 0.3])
@@ -399,6 +407,7 @@ class TestRigidFourBar:
           (0.431645617853, 2.01209565947))),
     )  # fmt: skip
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("by_hinge, method, angle, moments, forces", CASES, ids=["constant", "by_load"])
     def test_against_given_values(self, by_hinge, method, angle, moments, forces):
         model, start = self.model(by_hinge)
@@ -427,6 +436,7 @@ class TestRigidFourBar:
             check_step(model, RungeKutta4(step=1e-4))
 
 
+@pytest.mark.slow
 def test_flexible_four_bar_with_errors():
     """Hinges under the loads of a misaligned seat; exact elements, preload without friction."""
     radii = zip("ABCD", (0.008, 0.006, 0.006, 0.008), strict=True)

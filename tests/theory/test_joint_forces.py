@@ -70,6 +70,7 @@ def oscillation(t):
 class TestOscillator:
     """A block on a guide with a spring and a damper."""
 
+    @pytest.mark.slow
     @by_name
     def test_motion_load_and_energy(self, method):
         run = released(slider(SPRING), duration=0.4, method=method, save_every=0.1)
@@ -86,12 +87,14 @@ class TestOscillator:
         assert float(run.hinge_moment_error) < 1e-6
         assert float(run.momentum_balance_error) < 1e-6
 
+    @pytest.mark.slow
     def test_rest_is_where_the_spring_holds_the_preload(self):
         model = slider(SPRING)
         assembled = assemble(model, assembly_errors(model))
         assert int(assembled.status) == 0
         np.testing.assert_allclose(assembled.state.position.joints, [REST + PRELOAD / STIFFNESS], rtol=1e-12)
 
+    @pytest.mark.slow
     def test_held_it_carries_the_spring(self):
         model = slider(SPRING)
         assembled = assemble(model, assembly_errors(model), hold={"G": 0.2})
@@ -114,6 +117,7 @@ class TestOscillator:
         assert int(run.status) == 0
         np.testing.assert_allclose(run.displacements["G"], START, rtol=0, atol=2 * 50.0 / 1e8)
 
+    @pytest.mark.slow
     def test_derivatives_with_respect_to_all_numbers(self):
         model = slider(SPRING)
 
@@ -136,6 +140,7 @@ class TestOscillator:
 class TestLaws:
     """Tables and functions act from outside: they do work and are no part of the joint's load."""
 
+    @pytest.mark.slow
     @by_name
     def test_a_table_is_a_spring_between_its_rows(self, method):
         table = JointForceTable("gas", "G", [-0.1, REST, 0.5], [STIFFNESS * 0.2, 0.0, -STIFFNESS * 0.4])
@@ -148,11 +153,13 @@ class TestLaws:
         np.testing.assert_allclose(run.energy.work, kinetic, rtol=0, atol=1e-5)
         assert float(run.energy_balance_error) < 1e-4
 
+    @pytest.mark.slow
     def test_outside_its_positions_it_is_constant(self):
         table = JointForceTable("push", "G", [0.0, 0.1], [0.0, 2.0])
         run = released(slider(table), duration=0.1, method=METHODS[0])
         np.testing.assert_allclose(run.displacements["G"][-1], START + 0.5 * 2.0 / MASS * 0.1**2, rtol=1e-8)
 
+    @pytest.mark.slow
     def test_a_function_of_position_and_rate(self):
         class Cubic(eqx.Module):
             stiffness: jax.Array
@@ -183,6 +190,7 @@ class TestLaws:
         np.testing.assert_allclose(jax.grad(end)(900.0), jax.grad(reference)(900.0), rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("elements", ["linear", "geometrically_exact"])
 def test_a_spring_in_a_loop_at_rest(elements):
     """The moment that holds the crank is the derivative of the potential of links and spring along the mechanism."""
@@ -203,6 +211,7 @@ def test_a_spring_in_a_loop_at_rest(elements):
     np.testing.assert_allclose(moment, derivative, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_a_prescribed_drive_works_against_the_spring():
     spring = JointSpring("torsion", "A", stiffness=4.0, damping=0.2, rest=0.3)
     mechanism = Mechanism([link("arm", 0.2)], [Joint("A", "base", "arm", angle=0.3)], driven_joint="A",

@@ -83,6 +83,7 @@ class TestSliderCrank:
         differences = ((moved[:4] - moved[4:]) / (2.0 * step)).T
         np.testing.assert_allclose(forward, differences, rtol=1e-5, atol=1e-5 * np.abs(forward).max())
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("method", [Leapfrog(step=2e-5), Explicit("tsit5", rtol=1e-9, atol=1e-11),
                                         GeneralisedAlpha(step=1e-4, tolerance=1e-10)],
                              ids=lambda method: method.name)  # fmt: skip
@@ -111,6 +112,7 @@ class TestChain:
         GeneralisedAlpha(step=5e-5, tolerance=1e-10),
     )
 
+    @pytest.mark.slow
     def test_every_method_follows_the_same_motion(self):
         kinds = ("universal", "planar", "fixed", "spherical")
         links = [link(kind, 0.1 + 0.02 * n) for n, kind in enumerate(kinds)]
@@ -212,6 +214,7 @@ class TestPlanarAndFixed:
         counted = np.abs(expected).max(axis=0) > 1e-6
         assert [name for name, one in zip(names, counted) if not one] == ["F.d_x", "F.d_y", "F.d_z"]
 
+    @pytest.mark.slow
     def test_preload_of_loops_that_they_cut(self):
         loop = loop_cut_by("planar")
         joints = [
@@ -242,6 +245,7 @@ class TestPlanarAndFixed:
 class TestUniversal:
     """Revolute, spherical, universal, revolute with a moment ramp from rest."""
 
+    @pytest.mark.slow
     def test_preload_of_a_flexible_coupler_on_a_spherical_joint_of_the_tree(self):
         model = discretise(spatial_linkages.rsur_flexible())
         assert_preload(spatial_linkages.REFERENCE, "RSUR flexible", assemble(model, assembly_errors(model)))
@@ -277,6 +281,7 @@ class TestTwoSphericalJoints:
         structure = describe(discretise(spatial_linkages.rssr()))
         assert structure.idle == ("coupler",) and structure.mobility == 2
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("elements", ["linear", "geometrically_exact"])
     def test_statics_holds_the_idle_freedom_of_a_flexible_coupler(self, elements):
         mechanism = spatial_linkages.rssr(flexible_coupler(rfes=2))
@@ -309,6 +314,7 @@ class TestGuideErrors:
         # The guide is free along its own, tilted axis.
         assert abs(float(assembled.preload["G"].force[0])) < 1e-9
 
+    @pytest.mark.slow
     def test_derivative_of_the_preload(self, model):
         def preload(value):
             errors = assembly_errors(model, {**slider_cranks.ERRORS, "G.delta_y": value})
@@ -320,6 +326,7 @@ class TestGuideErrors:
         differences = (preload(1e-3 + step) - preload(1e-3 - step)) / (2.0 * step)
         np.testing.assert_allclose(forward, differences, rtol=1e-5, atol=1e-5 * np.abs(forward).max())
 
+    @pytest.mark.slow
     def test_a_slide_that_is_held_stays_where_it_is(self, model):
         actual = apply_errors(model, assembly_errors(model))
         k = model.topology.coordinates[model.link_names.index("piston")][0]

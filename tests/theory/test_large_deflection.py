@@ -99,6 +99,7 @@ ELASTICA = np.stack(
 )
 
 
+@pytest.mark.slow
 def test_elastica_is_met_with_second_order():
     forces = np.outer(ELASTICA[:, 0], [0.0, 0.0, -1.0])
     values = pair(*SLENDER, forces)
@@ -145,6 +146,7 @@ ANSYS = np.array(  # force, angle from the stiff direction, chordwise, flapwise 
 )
 
 
+@pytest.mark.slow
 def test_princeton_beam():
     """The continuous rod is met in the limit; ANSYS's chordwise values are those of a rod to 3.5 %
     only, its flapwise ones to 0.4 %."""
@@ -195,6 +197,7 @@ def test_derivative_of_a_large_deflection():
 SOFT = (1.0, (1e4, 1e4, 1e4, 1.0, 1.0, 1.0))
 
 
+@pytest.mark.slow
 def test_linear_and_exact_agree_for_small_loads():
     """The sag differs with the cube of the load, the shortening (none in the linear form) with its
     square."""
@@ -219,6 +222,7 @@ def test_an_assembly_out_of_range_says_so():
     assert [STATUS[code].name for code in status[:3]] == ["ok", "ok", "out_of_range"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("elements, name", [("linear", "out_of_range"), ("geometrically_exact", "ok")])
 def test_a_run_out_of_range_says_so(elements, name):
     """A limp beam let go: it falls past 60 deg, within the range of the exact form alone."""

@@ -51,6 +51,7 @@ def clamp():
     )
 
 
+@pytest.mark.slow
 def test_the_largest_loads_of_a_clamp_are_those_at_the_top_of_a_pulse(clamp):
     values, status = clamp({})
     force, moment = PULSE + MASS * G, (PULSE + 0.5 * MASS * G) * LENGTH
@@ -61,6 +62,7 @@ def test_the_largest_loads_of_a_clamp_are_those_at_the_top_of_a_pulse(clamp):
     assert float(values["W.peak_force"]) < 0.85 * force and float(values["W.peak_moment"]) < 0.85 * moment
 
 
+@pytest.mark.slow
 def test_derivatives_of_a_maximum_are_those_of_its_instant(clamp):
     """A longer bar of the same section is heavier, and its weight reaches farther; the pulse stays where it is."""
 
@@ -79,6 +81,7 @@ def test_derivatives_of_a_maximum_are_those_of_its_instant(clamp):
 KINDS_WITHOUT_AXIS = "U", "F"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", [RungeKutta4(step=1e-4), GeneralisedAlpha(step=1e-4, steps_per_row=2)])
 def test_largest_loads_of_all_kinds_are_those_of_every_step(method):
     """Joints of all kinds, fixed and universal ones too, which have no axis; saved seldom and at every step."""

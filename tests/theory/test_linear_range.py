@@ -66,6 +66,7 @@ def elastica(load):
     return shot(brentq(lambda curvature: shot(curvature)[1], 0.3 * load, load))[2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("load", [0.25, 0.5, 1.0])
 def test_a_force_at_the_tip(load):
     found, estimate = bent(at_tip(0.0, 0.0, load))
@@ -73,6 +74,7 @@ def test_a_force_at_the_tip(load):
     np.testing.assert_allclose(estimate, continuous / elastica(load) - 1.0, rtol=0.12)
 
 
+@pytest.mark.slow
 def test_a_moment_at_the_tip():
     """Its deflection errs less; but all of the way back along the beam, a third of the angle times that, is missing."""
     for moment in (0.1, 0.4):
@@ -91,6 +93,7 @@ def test_an_axial_force(share):
     np.testing.assert_allclose(estimate, abs(found / exact - 1.0), rtol=0.1)
 
 
+@pytest.mark.slow
 def test_no_error():
     """Torsion and axial forces that bend nothing, exact elements."""
     assert bent(PointMoment("tip", "beam", 1.0, (0.5, 0.0, 0.0)))[1] == 0.0
@@ -98,6 +101,7 @@ def test_no_error():
     assert bent(at_tip(0.0, 0.0, 1.0), elements="geometrically_exact")[1] == 0.0
 
 
+@pytest.mark.slow
 def test_runs_say_so():
     """Of a batch, too; a run within 2 % has no remark."""
     model = cantilever(at_tip(0.0, 0.0, 0.6))
@@ -117,6 +121,7 @@ def test_runs_say_so():
     assert remarks_on(near) == () and "remark" not in near.summary()
 
 
+@pytest.mark.slow
 def test_samples_are_counted():
     """Of a Monte Carlo study over the length of a cantilever, beside the metric that is asked for."""
     model = cantilever(at_tip(0.0, 0.0, 0.3))

@@ -121,6 +121,7 @@ def exact_pendulum(body, gravity, lowest, slow, angle, rate, times):
     return lowest + theta, np.array(forces), np.array(moments)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", range(len(SINGLE_STARTS)), ids=["wide", "swing", "whirl"])
 def test_single_pendulum_moves_by_elliptic_functions(single, case):
     runs, exact = single
@@ -243,6 +244,7 @@ def lagrange(length_1, distance):
     return motion, accelerations
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name, length_1", [("planar", LENGTH_1), ("longer", LENGTH_1 + STRETCH)])
 def test_planar_double_pendulum_by_lagrange(double, name, length_1):
     run = double(name)

@@ -64,6 +64,7 @@ def solve(place, elements, loads):
     return ratios, loads, jax.tree.map(np.asarray, results)
 
 
+@pytest.mark.slow
 def test_linear_elements_meet_the_closed_form():
     """The load sits in the middle of the last rfe, where it is linear in the coordinates."""
     place = 1.0 - 0.25 / M
@@ -112,6 +113,7 @@ def chain(ratio, load):
     return np.array([middle[1], 1.0 - 0.25 / M - middle[0], np.sum(rotations)]), end
 
 
+@pytest.mark.slow
 def test_exact_elements_meet_the_exact_chain_and_the_elastica():
     loads = [0.01, 1.0, 5.0]
     ratios, loads, (elastic, derivative, status, clamp) = solve(1.0, "geometrically_exact", loads)
@@ -207,6 +209,7 @@ def blades(four_bar):
     return results
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("elements", ["linear", "geometrically_exact"])
 def test_four_bar_of_blades_assembles(blades, elements):
     """EA L^2/EI of the rocker: 1.2e6 and 1.2e8.  Its preload has its derivative."""
@@ -226,6 +229,7 @@ def test_both_forms_give_the_same_preload_of_blades(blades):
         np.testing.assert_allclose(linear[case], exact[case], rtol=0, atol=0.03 * largest)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_put_together_says_so(blades, four_bar):
     """Links far too long for linear elements (rounding decides whether Newton's method comes to rest
     somewhere beyond their range, or nowhere); a rigid loop that an error opens sideways, whose least-squares

@@ -73,6 +73,7 @@ def test_rss_of_a_linear_metric_is_the_closed_form():
     assert check.shadow_price == pytest.approx(-result.cost, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_worst_case_of_a_linear_metric_is_the_closed_form_with_bounds_active():
     result = allocate(LINEAR, {"f": 2.0}, COSTS, bounds(3), key=KEY)
     exact = np.sqrt(FACTORS / GRADIENT)
@@ -107,6 +108,7 @@ def test_even_metric_beyond_its_quadratic_model_is_corrected_on_the_full_problem
     assert len(result.history) >= 3
 
 
+@pytest.mark.slow
 def test_two_limits_of_24_errors_hold_in_the_worst_case_and_cannot_all_be_relaxed():
     k = 24
     rng = np.random.default_rng(2)
@@ -133,6 +135,7 @@ def test_two_limits_of_24_errors_hold_in_the_worst_case_and_cannot_all_be_relaxe
     assert priced and all(abs(c.verified_margin) < 1e-4 for c in priced)
 
 
+@pytest.mark.slow
 def test_yield_of_a_uniform_error_is_its_closed_form_and_a_fresh_run_agrees():
     # P((t u)^2 <= 1) with u uniform on -1..1 is 1/t = 0.9, so t = 1/0.9.
     result = allocate(SQUARE, {"f": 1.0}, Reciprocal(), bounds(1), "yield", key=KEY, target=0.9, **UNIFORM)
@@ -142,6 +145,7 @@ def test_yield_of_a_uniform_error_is_its_closed_form_and_a_fresh_run_agrees():
     assert result.cost == pytest.approx(0.9, rel=1e-2)
 
 
+@pytest.mark.slow
 def test_rss_moments_of_an_even_metric_against_a_large_sample():
     rng = np.random.default_rng(4)
     root = rng.normal(size=(3, 3))
@@ -164,6 +168,7 @@ def test_rss_moments_of_an_even_metric_against_a_large_sample():
     assert exact < statistic("quantile", 2.0) < 1.15 * exact  # on the safe side of a skewed metric
 
 
+@pytest.mark.slow
 def test_mean_of_an_even_metric_is_held_at_its_limit():
     # E f = sum a_i^2 t_i^2 / 9: the closed form of RSS with a_i^2/9 for g_i^2.
     a = np.array([1.0, 2.0, 0.5])
@@ -176,6 +181,7 @@ def test_mean_of_an_even_metric_is_held_at_its_limit():
     assert result.status == "ok" and low < 1.0 < high
 
 
+@pytest.mark.slow
 def test_infeasible_request_names_the_limit_and_the_best_value():
     problem = make({"f": lambda x: 1.0 + jnp.asarray(GRADIENT) @ x, "g": lambda x: x[0]}, 3)
     request = {"g": 100.0, "f": 1.5}

@@ -51,6 +51,7 @@ def test_a_linear_metric_has_its_variances(found):
     assert np.all(np.isnan(found.shares.total[2])) and found.shares.std[2] == 0.0
 
 
+@pytest.mark.slow
 def test_the_shares_of_a_quadratic_are_its_sobol_indices(found):
     samples = monte_carlo(PROBLEM, TOLERANCES, 4096, jax.random.key(1), sobol_indices=True, batch=4096)
     indices = samples.sobol_indices["quadratic"]
@@ -104,6 +105,7 @@ def test_fourth_moments(tolerance, kurtosis):
     assert 3.0 * _fourth(tolerance) == pytest.approx(kurtosis, rel=2e-5)
 
 
+@pytest.mark.slow
 def test_the_square_of_a_distance_within_a_disc():
     """r^2 is uniform in 0 ... R^2 for a point of a disc, and its deviation R^2/sqrt(12)."""
     problem = FunctionProblem(lambda e: {"f": e["x"] ** 2 + e["z"] ** 2 + e["a"] ** 2}, ("x", "z", "a"), "f")

@@ -53,6 +53,7 @@ def results(problem):
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_dataset_of_sensitivities(results):
     pytest.importorskip("xarray", reason="the extra xarray is not installed")
     found, result = results["sensitivity"].to_xarray(), results["sensitivity"]
@@ -152,6 +153,7 @@ def test_tables(results):
     assert optimum.to_pandas(limits=True).loc[(HOSTILE, "upper"), "verified"] == optimum.limits[0].verified
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_html_is_escaped(results, kind):
     text = results[kind]._repr_html_()

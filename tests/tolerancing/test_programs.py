@@ -78,6 +78,7 @@ def test_an_allocation_compiles_its_problem_twice_and_its_neighbours_not_at_all(
     assert len(traces) <= PROGRAMS
 
 
+@pytest.mark.slow
 def test_a_failed_sample_with_a_large_value_is_never_the_worst():
     def function(errors):
         x = errors["a"]
@@ -99,6 +100,7 @@ def test_equal_names_give_equal_metrics():
         metric("A.rms_farce")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
 @pytest.mark.parametrize("k", [3, 40])
 def test_derivatives_at_many_points_are_those_at_single_ones_in_both_modes(mode, k):

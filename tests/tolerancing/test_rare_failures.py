@@ -182,6 +182,7 @@ def test_a_doubtful_probability_is_said_to_be_so():
     assert sum(held) >= 8
 
 
+@pytest.mark.slow
 def test_the_same_key_gives_the_same_result_and_another_batch_too():
     problem, tolerances = sum_problem(3)
     first, second = (

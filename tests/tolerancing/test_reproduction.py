@@ -52,6 +52,7 @@ SEARCHES = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SEARCHES)
 def test_searches_that_derivatives_guide_refuse_those_that_a_finer_step_does_not_reproduce(name):
     SEARCHES[name](striking_problem(0.03))

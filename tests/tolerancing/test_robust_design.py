@@ -126,6 +126,7 @@ def test_two_limits_may_be_worst_at_one_corner():
     assert found.tolerances["a"] == pytest.approx(0.85, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_root_sum_of_squares_of_a_linear_limit(gap):
     # Squared reciprocal costs: mean - c deviations of the sample itself, so the optimum is compared with a fine search
     # over d of the closed form for the sample's own second moments.
@@ -143,6 +144,7 @@ def test_root_sum_of_squares_of_a_linear_limit(gap):
     assert abs(found.limits[0].verified) < 0.02
 
 
+@pytest.mark.slow
 def test_yield_of_a_linear_limit(gap):
     # One normal error: the yield is known; d is found such that the fraction 0.95 keeps the limit.
     found = optimise(
@@ -241,6 +243,7 @@ def test_what_is_wrong_is_refused_in_one_sentence(beam, arguments, pieces):
     assert all(piece in text for piece in pieces) and text.count("\n") == 0
 
 
+@pytest.mark.slow
 def test_a_failed_sample_is_left_out(gap):
     def failing(errors):
         values = linear(errors)

@@ -254,6 +254,7 @@ def test_bad_input_is_refused_with_the_nearest_name(problem):
         sensitivity(problem, order=3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mode", "order", "batch", "told"),
     [

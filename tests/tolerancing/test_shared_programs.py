@@ -72,12 +72,14 @@ def problem():
     return Problem(Simulation(model, drive=DRIVE, duration=DURATION, method=method), "A.mean_square_moment")
 
 
+@pytest.mark.slow
 def test_sensitivities_with_a_finer_step(traced, problem):
     found = sensitivity(problem, order=1, scale=WIDTHS, refined=problem.refined())
     assert found.status == "ok" and np.all(found.gradient_change < 0.1)
     assert traced.count("_differentiate") == 1  # one program for both steps
 
 
+@pytest.mark.slow
 def test_values_after_an_expansion(traced, problem):
     """And those of a Monte Carlo study, whose distribution has a program of its own."""
     expand_by_differences(problem, None, WIDTHS)
@@ -101,6 +103,7 @@ def stepped(step, save_every=4e-3, method="generalised_alpha"):
     )
 
 
+@pytest.mark.slow
 def test_one_program_serves_all_steps(traced):
     jax.clear_caches()
     at, tilts, found = {"arm.length": jnp.asarray(2e-4)}, [[0.002], [0.01]], []
@@ -127,6 +130,7 @@ def of(problem):
     return lambda x: jnp.stack([problem({"A.delta_x": x})[0][one.name] for one in problem.metrics])
 
 
+@pytest.mark.slow
 def test_one_program_has_the_gradients_of_all_metrics(traced):
     """In reverse mode, at zero error, too."""
     model, method = discretise(arm()), GeneralisedAlpha(step=2e-3)
@@ -151,6 +155,7 @@ def test_the_angle_is_of_no_slide():
         Problem(simulation, "angle_error")
 
 
+@pytest.mark.slow
 def test_a_program_of_simulations_serves_all_steps(traced):
     """Of a loop with one flexible link, where the number of steps is no part of the program."""
     links = [link("crank", 0.12), link("coupler", 0.3, 2), link("rocker", 0.3)]
@@ -202,6 +207,7 @@ def test_a_problem_is_shown_in_a_line(problem):
     assert repr(problem) == f"<Problem of {said}>"
 
 
+@pytest.mark.slow
 def test_trials_of_auto(traced):
     jax.clear_caches()
     assert choose_method(discretise(arm()), Automatic(), DRIVE, DURATION).step > 0.0

@@ -42,6 +42,7 @@ def test_linear_metric_is_largest_at_the_corner_of_its_gradient():
     np.testing.assert_allclose([result.slopes[f"e{i}"] for i in range(3)], gradient * t, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_even_metric_is_worst_on_two_opposite_corners_and_both_are_reported():
     rng = np.random.default_rng(0)
     root = rng.normal(size=(5, 5))
@@ -69,6 +70,7 @@ def test_interior_maximum_and_minimum_over_the_same_box():
     assert lowest.value == pytest.approx(1.0 - 1.3**2 - 1.2**2 - 3.0**2, rel=1e-13)
 
 
+@pytest.mark.slow
 def test_non_convex_metric_of_many_errors_finds_the_global_maximum():
     # One-dimensional waves with several local maxima each; the exact maximum is separable.
     def wave(x):
@@ -103,6 +105,7 @@ def test_root_with_no_derivative_at_the_centre_does_not_stop_the_search():
     assert np.isnan(result.quadratic_value) and len(result.maximisers) >= 2
 
 
+@pytest.mark.slow
 def test_failed_samples_are_walked_around_and_counted():
     problem = make(lambda x: jnp.where(x[0] > 0.5, jnp.nan, x[0] + x[1]), 2)
     result = worst_case(problem, widths([1.0, 1.0]), "f", key=KEY)
@@ -185,6 +188,7 @@ def test_quadratic_bound_is_above_every_maximum_and_met_by_a_diagonal_model(regi
     assert maximise_quadratic(*model, region, KEY)[1][0] == pytest.approx(exact, rel=1e-8)
 
 
+@pytest.mark.slow
 def test_the_mirror_image_of_the_best_point_is_tried():
     one = {"starts": {"sobol": 1}, "corners": False, "model": False, "key": KEY}
     even = worst_case(make(lambda x: (x[0] + 2 * x[1]) ** 2, 2), widths([1.0, 1.0]), "f", **one)
@@ -195,6 +199,7 @@ def test_the_mirror_image_of_the_best_point_is_tried():
     assert all(result.value == pytest.approx(1.01) for result in found)
 
 
+@pytest.mark.slow
 def test_of_points_that_are_near_each_other_the_best_is_kept():
     points = np.array([[0.0, 0.0], [0.0, 5e-4], [0.0, 2e-3], [1.0, 1.0], [1.0 + 5e-4, 1.0], [2.0, 2.0]])
     values = np.array([1.0, 3.0, 2.0, 4.0, 4.0, np.nan])

@@ -38,6 +38,7 @@ def drawn(zone, n=4096):
     return np.asarray(jax.vmap(zone.quantile)(unit_points(KEY, n, len(zone.names), "sobol")))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_a_ball_is_filled_evenly_in_all_directions(n):
     points = drawn(Zone("xyz"[:n], 2.0 * np.eye(n), (n,)))
@@ -49,6 +50,7 @@ def test_a_ball_is_filled_evenly_in_all_directions(n):
     assert np.all(np.abs(inside.mean(axis=0)) < 0.03)
 
 
+@pytest.mark.slow
 def test_the_map_to_the_ball_is_smooth_at_its_middle():
     zone = Zone("xy", np.eye(2), (2,))
     exact = np.eye(2) * np.sqrt(0.5)  # y = w sqrt((1 - exp(-w^2/2))/w^2)
@@ -105,6 +107,7 @@ def test_zones_keep_their_shape_at_other_widths():
     np.testing.assert_allclose(np.asarray(twice.zones[0].matrix), np.diag([1e-4, 5e-5]))
 
 
+@pytest.mark.slow
 def test_the_worst_case_in_a_disc_is_on_its_rim_not_in_a_corner():
     """f = 3 x + 4 z over a disc of radius R is 5 R; in the box it would be 7 R. A square of another adds to it."""
 
@@ -124,6 +127,7 @@ def test_the_worst_case_in_a_disc_is_on_its_rim_not_in_a_corner():
         worst_case(problem, found, "f", key=KEY, corners=True)
 
 
+@pytest.mark.slow
 def test_the_worst_axis_of_a_zone_over_a_length():
     """Of x + h tilt_z, a point of the axis at y = -h, the worst case is the rim where that point is an end."""
     zone = SpecifiedZone("D.position", 0.1, length=2.0)
@@ -155,6 +159,7 @@ def test_capability_to_a_normal_distribution_and_back():
             ProcessNormal(0.1, **arguments)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "found",
     [

@@ -31,6 +31,7 @@ def test_thick_cantilever():
     assert_all_pass(computed(large_deflections.thick_cantilever), 3)
 
 
+@pytest.mark.slow
 def test_princeton_beam():
     """The rod equations are met.  The table is where it agrees with them; other deviations from it are explained."""
     lines = computed(large_deflections.princeton_beam)
@@ -42,6 +43,7 @@ def test_princeton_beam():
     assert all("chordwise" in line.name and line.difference > 0.0 for line in missed)
 
 
+@pytest.mark.slow
 def test_linear_elements_do_not_meet_the_elastica():
     """So that the lines above can fail: at P L^2 / E I = 1 the linear form bends 10 % too far."""
     stiff = large_deflections.RIGID
@@ -71,6 +73,7 @@ def test_initial_axes_of_the_tilted_hinge():
     assert_all_pass(tilted_hinge.axis_lines(), 2)
 
 
+@pytest.mark.slow
 def test_a_crooked_pin_stresses_nothing_at_the_start():
     model = discretise(tilted_hinge.mechanism(2))
     for error in ("C.pin_tilt_x", "C.pin_tilt_z"):

@@ -46,6 +46,7 @@ def test_a_top_of_slightly_other_inertia_fails(monkeypatch):
     assert spinning_bodies.turned(found, known).max() > 10.0 * spinning_bodies.TURNED
 
 
+@pytest.mark.slow
 def test_rigid_slider_crank():
     run = slider_cranks.run_rigid()
     lines = joint_cases.checked(slider_cranks.REFERENCE, "rigid", "", run, slider_cranks.RIGID)
@@ -55,6 +56,7 @@ def test_rigid_slider_crank():
     assert float(run.hinge_moment_error) < 1e-12
 
 
+@pytest.mark.slow
 def test_gas_force():
     run = acting_forces.run_gas()
     assert_all_pass(acting_forces.gas_lines(run), 8)
@@ -83,6 +85,7 @@ def test_rigid_spatial_linkages(case, count):
         assert np.isnan(run.metrics.max_axial_force["F"]) and np.isfinite(run.metrics.max_axial_force["D"])
 
 
+@pytest.mark.slow
 def test_flexible_linkages_at_rest():
     """The slider-crank without one of its errors fails."""
     model = discretise(slider_cranks.flexible())
@@ -107,6 +110,7 @@ def test_derivatives_that_are_off_fail():
     assert failed(lines) == ["mean square moment of B by G.d_y"]
 
 
+@pytest.mark.slow
 def test_the_published_equations_of_the_elastic_rod(monkeypatch):
     """Without their quadratic strain; and with it the deflection is a quarter larger."""
     found = flexible_slider_crank.published_motion()
@@ -140,6 +144,7 @@ def test_joints_that_are_not_ideal(case, count):
     assert_all_pass(joint_cases.checked(nonideal_joints.REFERENCE, case, group, run(), allowed), count)
 
 
+@pytest.mark.slow
 def test_pins_pressed_at_rest(monkeypatch):
     """A stiffness that is off by a thousandth fails."""
     assert_all_pass(clearances.pressed_lines(), 21)
@@ -148,6 +153,7 @@ def test_pins_pressed_at_rest(monkeypatch):
     assert wrong == set(failed(clearances.pressed_lines()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cut", [False, True])
 def test_misaligned_shaft(monkeypatch, cut):
     """A bush that is tilted by a little more fails."""
@@ -158,6 +164,7 @@ def test_misaligned_shaft(monkeypatch, cut):
 
 
 class TestFourBarWithPlay:
+    @pytest.mark.slow
     def test_preload(self, monkeypatch):
         """One that is tilted by a little more fails."""
         model = discretise(clearances.flexible_four_bar())
@@ -166,11 +173,13 @@ class TestFourBarWithPlay:
         monkeypatch.setitem(clearances.MISALIGNMENTS, "tilt_z", {"D.delta_z": 1.00001 * clearances.TILT})
         assert len(failed(clearances.four_bar_lines(model, "tilt_z", 1))) == 5
 
+    @pytest.mark.slow
     def test_cut_at_the_bush(self):
         model = discretise(clearances.flexible_four_bar(cut=True))
         assert_all_pass(clearances.four_bar_lines(model, "all", 3), 5)
 
 
+@pytest.mark.slow
 def test_single_impacts(monkeypatch):
     """A pin that is heavier by a thousandth fails."""
     restored, damped = impacts.run_impact(restitution=0.9), impacts.run_impact(damping=impacts.DAMPING)
@@ -199,6 +208,7 @@ def test_contacts_between_saved_times():
     assert going_on == [(0.25, 1.75, slice(1, 2)), (3.5, 5.0, slice(4, 6))]
 
 
+@pytest.mark.slow
 def test_bennett_linkage():
     assert_all_pass(computed(bennett_loop.validate), 4)
 
@@ -238,6 +248,7 @@ def test_joint_tables(monkeypatch):
     assert np.abs(kept).max() < 1e-5 and joint_tables.energy_loss("universal 3") < -4e-4
 
 
+@pytest.mark.slow
 def test_force_tables(monkeypatch):
     """Two bodies on springs by one program, and an actuator on an oblique guide.
 

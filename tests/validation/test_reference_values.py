@@ -46,6 +46,7 @@ def test_files_are_packaged():
     assert set(FOLDER.iterdir()) <= found
 
 
+@pytest.mark.slow
 def test_no_program_repeats_a_table():
     """Looks for numbers of six digits or more; one or two of them may be examples."""
     numbers = {leaf for name in NAMES for q in read_reference(name).quantities.values() for leaf in leaves(q.values)}
