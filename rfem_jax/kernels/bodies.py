@@ -140,6 +140,8 @@ class Body:
                     noted = registry.noted(f"size_{self.digest}") if self.digest else None
                     numbers = re.fullmatch(rb"(\d+) (\d+)", noted or b"")
                     self._size = Size(*map(int, numbers.groups())) if numbers else self._emitted_size()
+                    if isinstance(self._size, Size) and 8 * self._size.operations > machine_code.stack_bytes():
+                        self._size = TooLarge(f"{self._size.operations} operations, whose values do not fit on a stack")
             return self._size
 
     def _emitted_size(self) -> Size | Unsupported:

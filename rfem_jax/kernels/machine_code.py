@@ -5,6 +5,7 @@ Place in the pipeline: programs -> **machine_code** -> registry.
 
 import ctypes
 import ctypes.util
+import sys
 from functools import cache
 from typing import Any
 
@@ -70,6 +71,18 @@ def processor() -> str:
 def vector_width() -> int:
     """Doubles in a register of this processor."""
     return 8 if _features().get("avx512f") else 4 if _features().get("avx2") or _features().get("avx") else 2
+
+
+@cache
+def stack_bytes() -> int:
+    """What a program may take of the stack of a thread of XLA's, whose size is the system's own choice."""
+    if sys.platform == "win32":
+        return 700_000
+    import resource
+
+    soft, _ = resource.getrlimit(resource.RLIMIT_STACK)
+    whole = 2**21 if soft == resource.RLIM_INFINITY else min(soft, 2**23)  # of threads, by the C library
+    return 3 * whole // 4 if sys.platform == "linux" else 380_000
 
 
 def compiled(text: str, thorough: bool = True) -> bytes:

@@ -19,11 +19,12 @@ from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
 from jax.interpreters import mlir
 
 from rfem_jax.kernels import machine_code
-from rfem_jax.kernels.bodies import Body, is_left_to_xla
+from rfem_jax.kernels.bodies import Body, Size, is_left_to_xla
 from rfem_jax.kernels.builder import Unsupported
 from rfem_jax.kernels.entries import shape_of
 
 Tree = TypeVar("Tree")
+ON_STACK = 0.85  # of the values of a program, measured at most with the fast selection, which gives each its own place
 MOST_KNOWN = 64  # forms of arguments for which a function is remembered
 
 kernel_p = Primitive("kernel")
@@ -157,15 +158,19 @@ def samples_of(operands, batched: tuple[bool, ...]) -> int | None:
     return next((x.shape[0] for x, b in zip(operands, batched) if b), None)
 
 
-def _lanes(samples: int | None) -> int:
-    """How many samples at a time."""
-    count, widest = samples or 1, machine_code.vector_width()
-    return next(n for n in (1, 2, 4, 8) if n >= min(count, widest))
+def _lanes(samples: int | None, body: Body) -> int:
+    """How many samples at a time: less than there is room for in registers where values out of these, up to
+    `ON_STACK` of all, would not fit on the stack."""
+    count, widest, size = samples or 1, machine_code.vector_width(), body.size()
+    assert isinstance(size, Size)
+    fitting = next(n for n in (1, 2, 4, 8) if n >= min(count, widest))
+    bytes_of_lane = 8 * ON_STACK * size.operations
+    return max(n for n in (1, 2, 4, 8) if n <= fitting and (n == 1 or n * bytes_of_lane <= machine_code.stack_bytes()))
 
 
 def _by_machine_code(*operands, body: Body, batched: tuple[bool, ...]):
     samples = samples_of(operands, batched)
-    lanes = _lanes(samples)
+    lanes = _lanes(samples, body)
     name = body.handler(lanes, -(-(samples or 1) // lanes))
     front = () if samples is None else (samples,)
     results = [jax.ShapeDtypeStruct((*front, *x.shape), x.dtype) for x in body.results]

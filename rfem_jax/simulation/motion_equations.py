@@ -14,14 +14,14 @@ from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.model.inputs import Stabilisation
 from rfem_jax.mechanics.model.model import Model, State
-from rfem_jax.mechanics.model.with_errors import AssemblyErrors, ModelWithErrors, assembly_errors, with_structural_zeros
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors, with_structural_zeros
 from rfem_jax.mechanics.statics.assembly import Load, named
 from rfem_jax.mechanics.statics.designs import designed
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.driving import ActiveDrives, active_drives, all_jumps, drive_of_design
 from rfem_jax.simulation.equations import Conditions, Trajectory
 from rfem_jax.simulation.integration import prepare
-from rfem_jax.simulation.specification import Simulation
+from rfem_jax.simulation.specification import Errors, Simulation, errors_of_call, simulation_of_call
 from rfem_jax.simulation.stabilisation import stabilisation_of
 
 
@@ -68,7 +68,7 @@ def _rate(t: Float[Array, ""], state: Trajectory, conditions: Conditions) -> Tra
     return equations.right_hand_side(t, state, known)
 
 
-def equations_of_motion(simulation: Simulation, errors: AssemblyErrors | None = None) -> EquationsOfMotion:
+def equations_of_motion(simulation: Simulation, errors: Errors | None = None) -> EquationsOfMotion:
     """The equations of motion of a mechanism with its errors, assembled.
 
         motion = equations_of_motion(simulation, errors)
@@ -78,14 +78,13 @@ def equations_of_motion(simulation: Simulation, errors: AssemblyErrors | None = 
         )
 
     **Arguments:** `simulation`: its duration is not used, of its method only the gain of Baumgarte's stabilisation;
-    `errors` from `assembly_errors` (None: perfect).
+    `errors` from `assembly_errors`, or {name: value} (None: perfect).
 
     **Returns:** a pytree, which may be an argument of a compiled function. Links with contacts and friction have memory
     or stiff laws for which `simulate` has methods of its own.
     """
-    made = designed(
-        simulation.model, simulation.design, assembly_errors(simulation.model) if errors is None else errors
-    )
+    simulation = simulation_of_call("equations_of_motion", simulation, {})
+    made = designed(simulation.model, simulation.design, errors_of_call(simulation.model, errors))
     assert made.errors is not None, "errors were given"
     model, drive = made.model, simulation.drive
     drive = drive if simulation.design is None else drive_of_design(model, drive, simulation.design)

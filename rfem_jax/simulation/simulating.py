@@ -9,17 +9,16 @@ from typing import Any
 import diffrax
 
 from rfem_jax.mechanics.model.model import Model
-from rfem_jax.mechanics.model.with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.simulation.driving import drive_of_design
 from rfem_jax.simulation.integration import grid_for, simulate_steps
 from rfem_jax.simulation.locking import with_limit
 from rfem_jax.simulation.run import Run
-from rfem_jax.simulation.specification import Simulation, simulation_of_call
+from rfem_jax.simulation.specification import Errors, Simulation, errors_of_call, simulation_of_call
 
 
 def simulate(
     simulation: Simulation | Model,
-    errors: AssemblyErrors | None = None,
+    errors: Errors | None = None,
     *,
     adjoint: diffrax.AbstractAdjoint | None = None,
     record: str | Iterable[str] = (),
@@ -27,8 +26,8 @@ def simulate(
 ) -> Run:
     """Assemble a mechanism with its errors and simulate its motion.
 
-    **Arguments:** `simulation`: what is simulated, how long and by which method; `errors` from `assembly_errors` (None:
-    perfect); `adjoint`: diffrax's adjoint, for adaptive methods only (None: forward mode; give
+    **Arguments:** `simulation`: what is simulated, how long and by which method; `errors` from `assembly_errors`, or
+    {name: value} (None: perfect); `adjoint`: diffrax's adjoint, for adaptive methods only (None: forward mode; give
     `diffrax.RecursiveCheckpointAdjoint()` for reverse mode); `record`: what the run records besides, such as
     "coupler.sections" (see `simulation.records`), into `run.recorded`. A model in place of the simulation, with
     `former` arguments, is the call of an earlier version, which warns.
@@ -42,7 +41,7 @@ def simulate(
     simulation = simulation_of_call("simulate", simulation, former)
     model, drive, method = simulation.model, simulation.drive, simulation.method
     grid, steps = grid_for(drive, simulation.require_duration(), method, simulation.save_every, model)
-    errors = assembly_errors(model) if errors is None else errors
+    errors = errors_of_call(model, errors)
     run = simulate_steps(
         model, errors, drive, grid, method, steps, simulation.start, adjoint, record, simulation.design
     )

@@ -14,14 +14,18 @@ from jax.typing import ArrayLike
 
 from rfem_jax.description.basics.errors import InputError, suggestion
 from rfem_jax.description.basics.precision import require_float64
+from rfem_jax.description.basics.units import positive_quantity
 from rfem_jax.description.drives.driven_motions import Drive
 from rfem_jax.description.methods import Automatic, Method
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.mechanics.model.model import Model, State
+from rfem_jax.mechanics.model.with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.statics.assembly import with_start
 from rfem_jax.mechanics.statics.designs import Design, model_of_study
 from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.simulation.driving import require_driven
+
+Errors = AssemblyErrors | Mapping[str, ArrayLike | str]  # or by their names [rad, m, or strings with a unit]
 
 
 class Simulation(eqx.Module):
@@ -30,17 +34,18 @@ class Simulation(eqx.Module):
         simulation = Simulation(model, drive=MomentRamp("A", 1.0, 0.1), duration=0.5)
         run = simulate(simulation, assembly_errors(model, {"D.delta_x": 1e-3}))
 
-    `dataclasses.replace(simulation, duration=1.0)` makes another one. Numbers of the model, of the drives, of the start
+    `dataclasses.replace(simulation, duration=1.0)` makes another one, by the same method and step: give
+    `method=Automatic()` beside what changes to have them chosen anew. Numbers of the model, of the drives, of the start
     and of the design may be traced, with a method whose step is given.
 
     Args:
         model: from `discretise`.
         drive: a moment or force on the model's driven joint, its prescribed motion, a list of such drives on as many
             driven motions, or None.
-        duration: [s]; None for a steady cycle, which lasts a revolution.
+        duration: [s], or a string with a unit; None for a steady cycle, which lasts a revolution.
         method: `Automatic`, which is replaced here by the method and the step that keep its accuracy, or another one
             with its step: `GeneralisedAlpha`, `RungeKutta4`, `Leapfrog`, `Explicit`.
-        save_every: [s], interval of saved times (None: 500 intervals).
+        save_every: [s], or a string with a unit: interval of saved times (None: 500 intervals).
         start: "as_given", with all freedoms at the start values of the joints and at their initial rates, flexible
             links settled, or "equilibrium", in which freedoms that no drive holds have settled, too (None: as the
             mechanism says, "as_given" unless it says another); or a `State`, which replaces the static assembly (the
@@ -66,9 +71,9 @@ class Simulation(eqx.Module):
         model: Model,
         *,
         drive: Drive,
-        duration: float | int | None = None,
+        duration: float | int | str | None = None,
         method: Method | None = None,
-        save_every: float | int | None = None,
+        save_every: float | int | str | None = None,
         start: State | str | None = None,
         design: Design | None = None,
         trials: Mapping[str, ArrayLike] | None = None,
@@ -88,8 +93,8 @@ class Simulation(eqx.Module):
         if isinstance(start, str):
             model, start = with_start(model, start), None
         self.model, self.drive, self.start, self.design = model, drive, start, design
-        self.duration = None if duration is None else float(duration)
-        self.save_every = None if save_every is None else float(save_every)
+        self.duration = None if duration is None else positive_quantity(duration, "time", "duration")
+        self.save_every = None if save_every is None else positive_quantity(save_every, "time", "save_every")
         method = Automatic() if method is None else method
         if isinstance(method, Automatic) and any(isinstance(x, Tracer) for x in jax.tree.leaves((model, drive))):
             raise InputError(
@@ -137,7 +142,7 @@ def simulation_of_call(function: str, given: Simulation | Model, former: dict[st
     **Raises:** `InputError` for names that are not known, or of a simulation beside one.
     """
     of_simulation = ("drive", "duration", "method", "save_every", "start", "design", "trials")
-    if isinstance(given, Model) and set(former) <= set(of_simulation):
+    if isinstance(given, Model) and former and set(former) <= set(of_simulation):
         arguments = ", ".join(f"{name}=..." for name in former)
         warnings.warn(
             f"`{function}` takes a simulation: write {function}(Simulation(model, {arguments}), ...), which a later "
@@ -157,3 +162,10 @@ def simulation_of_call(function: str, given: Simulation | Model, former: dict[st
             "Simulation(model, drive=..., duration=...)."
         )
     return given
+
+
+def errors_of_call(model: Model, errors: Errors | None) -> AssemblyErrors:
+    """Errors as a function was given them: from `assembly_errors`, by their names, or none."""
+    if isinstance(errors, AssemblyErrors):
+        return errors
+    return assembly_errors(model, dict(errors or {}))

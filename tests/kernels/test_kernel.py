@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax.kernels import expand_primitive, expecting, is_available, kernel, registry
+from rfem_jax.kernels import expand_primitive, expecting, is_available, kernel, machine_code, programs, registry
 from tests.processes import in_a_new_process
 
 pytestmark = pytest.mark.skipif(not is_available(), reason="llvmlite is not installed")
@@ -359,3 +359,17 @@ def test_random_keys_are_left_to_xla():
     with pytest.warns(UserWarning, match="there is no machine code for numbers of type key"):
         found = kernel(lambda key: jax.random.normal(key, (3,)))(jax.random.key(0))
     np.testing.assert_array_equal(found, jax.random.normal(KEY, (3,)))
+
+
+def test_programs_whose_values_do_not_fit_on_the_stack_take_fewer_samples_at_a_time(monkeypatch):
+    xs, rates = jax.random.normal(KEY, (19, 3)), jnp.linspace(0.0, 1.0, 19)
+    wanted = jax.vmap(kernel(integrated, selection="fast"))(xs, rates)
+    operations = programs.emit(jax.make_jaxpr(integrated)(xs[0], rates[0])).operations
+    for room, allowed in ((24 * operations, {1, 2}), (400 * operations, {2, 4, 8}), (4 * operations, set())):
+        monkeypatch.setattr(machine_code, "stack_bytes", lambda room=room: room)
+        with registry.noting() as names:
+            found = jax.vmap(kernel(integrated, selection="fast"))(xs, rates)
+        lanes = {int(name.split("_")[2]) for name in names}
+        assert lanes <= allowed and bool(lanes) == bool(allowed)
+        for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True):
+            np.testing.assert_allclose(a, b, rtol=0 if names else 1e-12)

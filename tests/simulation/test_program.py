@@ -168,7 +168,7 @@ def test_bad_arguments_are_refused(small):
         assemble(small.model, assembly_errors(small.model), hold={"C": 0.0})
     with pytest.raises(InputError, match="`rfes` must be a whole number"):
         discretise(four_bar(), rfes=1)
-    with pytest.raises(InputError, match="`duration` must be positive"):
+    with pytest.raises(InputError, match="`duration` must be greater than 0"):
         simulate(Simulation(small.model, **{**small.settings, "duration": 0.0}), None)
 
 

@@ -21,6 +21,7 @@ from rfem_jax import (
     cycle_run,
     design,
     discretise,
+    equations_of_motion,
     load_study,
     simulate,
     steady_cycle,
@@ -94,6 +95,14 @@ def test_what_is_wrong_is_said(model, simulation):
         Simulation(model, drive=MomentRamp("B", 1.5, 0.01), duration=0.01)
     with refused("`duration`", "missing"):
         simulate(Simulation(model, drive=drive, method=METHOD))
+    for bad in (0.0, -1, np.nan, "10 mm"):
+        with refused("duration"):
+            Simulation(model, drive=drive, duration=bad)
+    assert Simulation(model, drive=drive, duration="10 ms", method=METHOD).duration == 0.01
+    with refused("D.delta_xx"):
+        simulate(simulation, {"D.delta_xx": 1e-3})
+    with refused("`simulation`", "`equations_of_motion`"):
+        equations_of_motion(model)
     with refused("`start`", "as_given"):
         Simulation(model, drive=drive, duration=0.01, start="at rest")
     with refused("`duration`", "`simulate`", "`Simulation`"):
@@ -116,10 +125,13 @@ def test_calls_of_the_version_before_work_and_warn(model, simulation):
     drive, errors = simulation.drive, assembly_errors(model, {"D.delta_x": 1e-3})
     with pytest.warns(DeprecationWarning, match=r"simulate\(Simulation\(model, drive=..., duration=..."):
         former = simulate(model, errors, drive=drive, **settings)
-    now = simulate(simulation, errors)
+    now = simulate(simulation, {"D.delta_x": 1e-3})
     np.testing.assert_array_equal(former.loads.force, now.loads.force)
     with pytest.warns(DeprecationWarning, match=r"Problem\(Simulation\("):
         problem = Problem(model, drive, 0.01, "A.rms_force", METHOD, save_every=1e-3)
+    with pytest.warns(DeprecationWarning, match=r"Problem\(Simulation\(") as caught:
+        by_names = Problem(model, drive=drive, duration=0.01, metrics="A.rms_force", method=METHOD, save_every=1e-3)
+    assert caught[0].filename == __file__ and by_names.metrics == problem.metrics
     values, _ = problem({"D.delta_x": 1e-3})
     assert values == Problem(simulation, "A.rms_force")({"D.delta_x": 1e-3})[0]
 

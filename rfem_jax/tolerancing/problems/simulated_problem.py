@@ -37,7 +37,7 @@ from rfem_jax.simulation.integration import conclude, grid_for, integrated, simu
 from rfem_jax.simulation.locking import FAILED_IN_MOTION, DriveLimit, drive_limit
 from rfem_jax.simulation.records import require_records
 from rfem_jax.simulation.run import RESIDUAL_LIMIT, of_model
-from rfem_jax.simulation.specification import Simulation
+from rfem_jax.simulation.specification import Simulation, simulation_of_call
 from rfem_jax.simulation.stepping import contact_tolerance_of
 from rfem_jax.simulation.time_grid import TimeGrid, longest_interval, of_any_step
 from rfem_jax.tolerancing.checks import check_distinct, check_known, error_value
@@ -82,7 +82,7 @@ class Problem(eqx.Module):
     def __init__(
         self,
         simulation: Simulation | Model,
-        metrics: str | Metric | Iterable[str | Metric] = (),
+        metrics: str | Metric | Iterable[str | Metric] | None = None,
         *further: Any,
         **former: Any,
     ):
@@ -93,6 +93,7 @@ class Problem(eqx.Module):
                 "Arguments of a problem must be a simulation and metrics, but there are others; give drive, duration, "
                 "method and the like to `Simulation`."
             )
+        simulation, metrics = simulation_of_call("Problem", simulation, {}), () if metrics is None else metrics
         if simulation.start is not None:
             raise InputError(
                 "Argument `start` of a problem's simulation must be a word, but is a State, which no errors change; "
@@ -316,13 +317,15 @@ def _of_former_arguments(
 ) -> tuple[Simulation, str | Metric | Iterable[str | Metric]]:
     """Simulation and metrics of a call as in an earlier version, which warns."""
     names = ("drive", "duration", "metrics", "method", "save_every", "design", "trials")
-    given = {**dict(zip(names, (drive, *further))), **former}
-    metrics = given.pop("metrics")
+    # Where all came by their names, what stands in the place of the drive are the metrics.
+    by_place: dict[str, Any] = {"metrics": drive} if "drive" in former else dict(zip(names, (drive, *further)))
+    given = {**by_place, **former}
+    metrics = given.pop("metrics", ())
     warnings.warn(
         "`Problem` takes a simulation: write Problem(Simulation(model, drive=..., duration=..., method=...), metrics), "
         "which a later version needs.",
         DeprecationWarning,
-        stacklevel=3,
+        stacklevel=5,  # beyond Equinox
     )
     return Simulation(model, **given), metrics
 
