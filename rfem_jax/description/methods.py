@@ -20,13 +20,13 @@ from dataclasses import dataclass, field, fields
 from numbers import Real
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from rfem_jax.description.basics.calls import require_arguments
 from rfem_jax.description.basics.errors import (
     ChecksItself,
     InputError,
     Problems,
     require_choice,
     require_name,
-    suggestion,
 )
 from rfem_jax.description.basics.units import non_negative_quantity, positive_quantity
 
@@ -71,7 +71,7 @@ class _MethodClass(type):
                     stacklevel=2,
                 )
                 return made
-            _check_names(cls, arguments, settings)
+            require_arguments(cls.__name__, cls.__init__, (None, *arguments), settings)
             return super().__call__(*arguments, **settings)
 
         @property
@@ -91,8 +91,8 @@ class Method(ChecksItself, metaclass=_MethodClass):
     """
 
     # What every method may be asked for; a class that has the setting declares it again.
-    step: float | None = field(default=None, init=False)
-    stabilisation: float | None = field(default=None, init=False)
+    step: float | None = field(default=None, init=False, repr=False)
+    stabilisation: float | None = field(default=None, init=False, repr=False)
 
     names: ClassVar[tuple[str, ...]] = ()  # in study files
     implicit: ClassVar[bool] = False  # whether every step solves equations
@@ -225,7 +225,7 @@ class Explicit(Method):
 
     solver: Any = field(kw_only=False)
     step: float | None = setting(dimension="time")
-    rtol: float | None = setting()
+    rtol: float | None = setting(below_one="it is a relative error, such as 1e-8")
     atol: float | None = setting()
     stabilisation: float | None = setting(convert=non_negative_quantity)
 
@@ -304,27 +304,6 @@ def named_method(name: str = "rk4", **settings: Any) -> Method:
     kind = METHOD_CLASSES[require_choice(name, tuple(METHOD_CLASSES), "`name` of the method")]
     _refuse_settings_of_others(name, kind, settings)
     return kind(name, **settings) if issubclass(kind, Explicit) else kind(**settings)
-
-
-def _check_names(kind: type[Method], arguments: tuple, settings: dict[str, Any]) -> None:
-    """Raise InputError for arguments without names, and for names that are no settings of the class."""
-    parameters = inspect.signature(kind.__init__).parameters
-    without_names = [one.name for one in parameters.values() if one.kind is one.POSITIONAL_OR_KEYWORD][1:]
-    known = [name for name in parameters if name != "self"]
-    problems = Problems()
-    with problems.noted():
-        if len(arguments) > len(without_names):
-            raise InputError(
-                f"Arguments of {kind.__name__} must be given by their names, but {arguments[len(without_names)]!r} was "
-                f"given without one; write {known[len(without_names)]}=... (or {', '.join(known)})."
-            )
-    for name in settings:
-        with problems.noted():
-            if name not in known:
-                raise InputError(
-                    f"Argument `{name}` must be a setting of {kind.__name__}, but is not; {suggestion(name, known)}"
-                )
-    problems.refuse()
 
 
 def add_method_class(kind: type[Method]) -> None:

@@ -11,7 +11,9 @@ LLVM compiles the operations on these as they stand, and JAX sees one primitive 
     programs          a jaxpr as the text of a module for LLVM
     emission          primitives of JAX as operations on entries
     places            entries at places that are known or computed
-    linear_algebra    LU factors and triangular systems, of other primitives
+    linear_algebra    LU factors, triangular systems and singular values, of other primitives
+    long_arrays       operations on long arrays as loops, where code is to be short
+    newer_primitives  primitives that newer versions of JAX have in place of several
     loops             loops and branches, over all samples at once
     vector_math       sine, cosine, exponential function and logarithm of vectors
     arithmetic        operations on entries; known numbers are folded
@@ -25,7 +27,7 @@ LLVM compiles the operations on these as they stand, and JAX sees one primitive 
 The package knows nothing of mechanics, and uses public interfaces of JAX and llvmlite alone (docs/kernels.md).
 """
 
-from rfem_jax.kernels import linear_algebra, transformations  # noqa: F401 # which tell JAX and the emitter
+from rfem_jax.kernels import linear_algebra, newer_primitives, transformations  # noqa: F401 # tell JAX and the emitter
 from rfem_jax.kernels.bodies import expecting, left_to_xla
 from rfem_jax.kernels.emission import expand_primitive
 from rfem_jax.kernels.machine_code import is_available

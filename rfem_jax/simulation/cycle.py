@@ -75,7 +75,8 @@ def steady_cycle(
     turn about any axis.
     """
     simulation = simulation_of_call("steady_cycle", simulation, former)
-    model, method, design = simulation.model, simulation.method, simulation.design
+    _require_sensible(simulation, tolerance, most)
+    model, method, design = simulation.model, simulation.chosen, simulation.design
     drive, period = _with_period(model, require_constant_rate(model, simulation.drive), design)
     grid, steps = integration.grid_for(drive, period, method, simulation.save_every, model)
     errors = assembly_errors(model) if errors is None else errors
@@ -117,7 +118,7 @@ def cycle_run(
     of the cycle and all loads change as the periodic motion does (theory (11.19)); first derivatives only.
     """
     simulation = simulation_of_call("cycle_run", simulation, former)
-    model, method, design = simulation.model, simulation.method, simulation.design
+    model, method, design = simulation.model, simulation.chosen, simulation.design
     drive, period = _with_period(model, require_constant_rate(model, simulation.drive), design)
     grid, steps = integration.grid_for(drive, period, method, simulation.save_every, model)
     made = designed(model, design, assembly_errors(model) if errors is None else errors)
@@ -156,6 +157,18 @@ def _with_period(model: Model, drive: PrescribedRate, design: Design | None) -> 
         assert isinstance(designed_drive, PrescribedRate), "its kind stays"
         drive = designed_drive
     return drive, abs(2.0 * np.pi / float(drive.rate))
+
+
+def _require_sensible(simulation: Simulation, tolerance: float, most: int) -> None:
+    """Raise InputError for a start of one's own, which a cycle has not, and for numbers that end no search."""
+    if simulation.start is not None:
+        raise InputError(
+            "Argument `start` of a cycle's simulation must be left out, but is a State; a cycle finds its own start."
+        )
+    if not tolerance > 0.0:
+        raise InputError(f"Argument `tolerance` must be greater than 0, but is {tolerance}; the default is 1e-6.")
+    if not isinstance(most, int) or most < 2:
+        raise InputError(f"Argument `most` must be a whole number of at least 2, but is {most}; the default is 200.")
 
 
 def require_constant_rate(model: Model, drive: Drive) -> PrescribedRate:

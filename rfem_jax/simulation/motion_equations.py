@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
+from rfem_jax.description.basics.calls import with_known_arguments
 from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.model.inputs import Stabilisation
@@ -68,6 +69,7 @@ def _rate(t: Float[Array, ""], state: Trajectory, conditions: Conditions) -> Tra
     return equations.right_hand_side(t, state, known)
 
 
+@with_known_arguments("equations_of_motion")
 def equations_of_motion(simulation: Simulation, errors: Errors | None = None) -> EquationsOfMotion:
     """The equations of motion of a mechanism with its errors, assembled.
 
@@ -100,6 +102,6 @@ def equations_of_motion(simulation: Simulation, errors: Errors | None = None) ->
         model,
         prepared.actual,
         active_drives(model, drive),
-        stabilisation_of(model, simulation.method),
+        stabilisation_of(model, simulation.chosen),
         all_jumps(drive, model),
     )

@@ -39,7 +39,7 @@ def simulate(
     **Raises:** `InputError` for arguments that cannot be used.  A run that fails says so in its status.
     """
     simulation = simulation_of_call("simulate", simulation, former)
-    model, drive, method = simulation.model, simulation.drive, simulation.method
+    model, drive, method = simulation.model, simulation.drive, simulation.chosen
     grid, steps = grid_for(drive, simulation.require_duration(), method, simulation.save_every, model)
     errors = errors_of_call(model, errors)
     run = simulate_steps(

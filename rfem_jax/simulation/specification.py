@@ -9,21 +9,25 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
+import numpy as np
 from jax.core import Tracer
 from jax.typing import ArrayLike
 
-from rfem_jax.description.basics.errors import InputError, suggestion
+from rfem_jax.description.basics.calls import with_known_arguments
+from rfem_jax.description.basics.errors import InputError, Problems, suggestion
 from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.description.basics.units import positive_quantity
 from rfem_jax.description.drives.driven_motions import Drive
 from rfem_jax.description.methods import Automatic, Method
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.mechanics.model.model import Model, State
+from rfem_jax.mechanics.model.status import OK
 from rfem_jax.mechanics.model.with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.statics.assembly import with_start
-from rfem_jax.mechanics.statics.designs import Design, model_of_study
+from rfem_jax.mechanics.statics.designs import Design, designed, model_of_study, parameters
 from rfem_jax.simulation.accuracy import choose_method
-from rfem_jax.simulation.driving import require_driven
+from rfem_jax.simulation.driving import drive_of_design, require_driven
 
 Errors = AssemblyErrors | Mapping[str, ArrayLike | str]  # or by their names [rad, m, or strings with a unit]
 
@@ -34,17 +38,16 @@ class Simulation(eqx.Module):
         simulation = Simulation(model, drive=MomentRamp("A", 1.0, 0.1), duration=0.5)
         run = simulate(simulation, assembly_errors(model, {"D.delta_x": 1e-3}))
 
-    `dataclasses.replace(simulation, duration=1.0)` makes another one, by the same method and step: give
-    `method=Automatic()` beside what changes to have them chosen anew. Numbers of the model, of the drives, of the start
-    and of the design may be traced, with a method whose step is given.
+    `dataclasses.replace(simulation, duration=1.0)` makes another one, for which `Automatic` chooses anew. Numbers of
+    the model, of the drives, of the start and of the design may be traced, with a method whose step is given.
 
     Args:
         model: from `discretise`.
         drive: a moment or force on the model's driven joint, its prescribed motion, a list of such drives on as many
             driven motions, or None.
         duration: [s], or a string with a unit; None for a steady cycle, which lasts a revolution.
-        method: `Automatic`, which is replaced here by the method and the step that keep its accuracy, or another one
-            with its step: `GeneralisedAlpha`, `RungeKutta4`, `Leapfrog`, `Explicit`.
+        method: `Automatic` (the default), which chooses a method and a step that keep its accuracy, or another one
+            with its step: `GeneralisedAlpha`, `RungeKutta4`, `Leapfrog`, `Explicit`. `chosen` is the one that is used.
         save_every: [s], or a string with a unit: interval of saved times (None: 500 intervals).
         start: "as_given", with all freedoms at the start values of the joints and at their initial rates, flexible
             links settled, or "equilibrium", in which freedoms that no drive holds have settled, too (None: as the
@@ -65,7 +68,10 @@ class Simulation(eqx.Module):
     save_every: float | None = eqx.field(static=True)
     start: State | None
     design: Design | None
+    trials: Mapping[str, ArrayLike] | None
+    chosen: Method = eqx.field(static=True, init=False)
 
+    @with_known_arguments("Simulation")
     def __init__(
         self,
         model: Model,
@@ -79,29 +85,34 @@ class Simulation(eqx.Module):
         trials: Mapping[str, ArrayLike] | None = None,
     ):
         require_float64()
-        if not isinstance(model, Model):
-            raise InputError(
-                f"Argument `model` of a simulation must be a Model, but is {type(model).__name__}; make it by "
-                "discretise(mechanism)."
-            )
-        if method is not None and not isinstance(method, Method):
-            raise InputError(
-                f"Argument `method` of a simulation must be an object, but is {method!r}; write for example "
-                "RungeKutta4(step=1e-5)."
-            )
+        method = Automatic() if method is None else method
+        _require_kinds(model, method, start, design)
         require_driven(model, drive)
         if isinstance(start, str):
             model, start = with_start(model, start), None
-        self.model, self.drive, self.start, self.design = model, drive, start, design
+        self.model, self.drive, self.start, self.design, self.method = model, drive, start, design, method
         self.duration = None if duration is None else positive_quantity(duration, "time", "duration")
         self.save_every = None if save_every is None else positive_quantity(save_every, "time", "save_every")
-        method = Automatic() if method is None else method
-        if isinstance(method, Automatic) and any(isinstance(x, Tracer) for x in jax.tree.leaves((model, drive))):
+        self.trials = None if trials is None else _known_trials(model, trials)
+        self.chosen = self._choose()
+
+    def _choose(self) -> Method:
+        """The method itself, or the one that `Automatic` stands for on this mechanism with its design."""
+        if not isinstance(self.method, Automatic):
+            return self.method
+        numbers = jax.tree.leaves((self.model, self.drive, self.design, jnp.add(0.0, 0.0)))
+        if any(isinstance(x, Tracer) for x in numbers):  # the sum is traced within jax.jit
             raise InputError(
-                "Argument `method` of a simulation must have a step where numbers of its model or drive are traced, "
-                "but is Automatic, which tries steps; make the simulation outside of jax.jit and of derivatives."
+                "Argument `method` of a simulation must have a step within jax.jit and where numbers of its model, "
+                "drive or design are traced, but is Automatic, which tries steps; give `method=simulation.chosen` of "
+                "one that was made outside."
             )
-        self.method = choose_method(model, method, drive, self.duration, trials, self.save_every)
+        model, drive = self.model, self.drive
+        if self.design is not None:
+            made = designed(model, self.design, assembly_errors(model))
+            drive = drive_of_design(model, drive, self.design)
+            model = made.model if made.status is None or int(made.status) == OK else model
+        return choose_method(model, self.method, drive, self.duration, self.trials, self.save_every)
 
     @classmethod
     def of(cls, study: Study, **changes: Any) -> "Simulation":
@@ -129,9 +140,48 @@ class Simulation(eqx.Module):
 
     # Short: JAX shows it in messages, and all of a model takes longer than a simulation.
     def __repr__(self) -> str:
-        step = "" if self.method.step is None else f" with steps of {self.method.step:g} s"
+        step = "" if self.chosen.step is None else f" with steps of {self.chosen.step:g} s"
         time = "" if self.duration is None else f" over {self.duration:g} s"
-        return f"<Simulation of {', '.join(self.model.topology.links)}{time} by {self.method.name}{step}>"
+        return f"<Simulation of {', '.join(self.model.topology.links)}{time} by {self.chosen.name}{step}>"
+
+
+def _require_kinds(model: Any, method: Any, start: Any, design: Any) -> None:
+    """Raise InputError for arguments of a simulation that are something else."""
+    method_fix = "write for example RungeKutta4(step=1e-5), or Explicit(diffrax.Dopri8(), rtol=1e-8, atol=1e-10)"
+    start_fix = 'give "as_given", "equilibrium" or the `state` of an assembly'
+    wanted = (
+        ("model", model, Model, "a Model", "make it by discretise(mechanism)"),
+        ("method", method, Method, "an object of a method", method_fix),
+        ("start", start, (State, str, type(None)), "a State or a word", start_fix),
+        ("design", design, (Design, type(None)), "a Design", "make it by rfem_jax.design(model, {...})"),
+    )
+    problems = Problems()
+    for name, given, kinds, what, fix in wanted:
+        with problems.noted():
+            if not isinstance(given, kinds):
+                shown = repr(given) if isinstance(given, str | int | float | type) else type(given).__name__
+                raise InputError(f"Argument `{name}` of a simulation must be {what}, but is {shown}; {fix}.")
+    problems.refuse()
+
+
+def _known_trials(model: Model, trials: Any) -> dict[str, ArrayLike]:
+    """Trial errors by names that the model or its drives have, of finite numbers."""
+    if not isinstance(trials, Mapping):
+        raise InputError(
+            f"Argument `trials` of a simulation must be {{error name: values}}, but is {type(trials).__name__}; give "
+            "for example first_samples(tolerances, key)."
+        )
+    known = [*model.topology.error_names, *(() if model.source is None else parameters(model))]
+    for name, values in trials.items():
+        if name not in known and not str(name).startswith("drive."):
+            raise InputError(f"Argument `trials` must name errors, but has {name!r}; {suggestion(name, known)}")
+        numbers = np.asarray(values)
+        if numbers.ndim != 1 or numbers.dtype.kind not in "fiu" or not np.isfinite(numbers).all():
+            raise InputError(
+                f"Argument `trials` must have finite numbers, one for each assembly, but {name!r} has not; give arrays "
+                "(n,) in SI units."
+            )
+    return dict(trials)
 
 
 def simulation_of_call(function: str, given: Simulation | Model, former: dict[str, Any]) -> Simulation:

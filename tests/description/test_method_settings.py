@@ -102,6 +102,11 @@ def test_a_method_is_of_the_class_that_has_its_name(name):
 
 
 def test_names_of_arguments_that_are_wrong_are_told_in_a_sentence(refused):
+    assert repr(Automatic(accuracy=1e-3)) == "Automatic(stabilisation=None, accuracy=0.001)"
+    with refused("`solver`", "missing"):
+        Explicit()
+    with refused("`rtol`", "less than 1"):
+        Explicit("dopri5", rtol=2.0, atol=1.0)
     with refused("`stepp`", "RungeKutta4", "did you mean `step`?"):
         RungeKutta4(stepp=1e-5)
     with refused("`rtol`", "GeneralisedAlpha", "spectral_radius"):

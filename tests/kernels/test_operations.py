@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax.kernels import is_available, kernel, programs
+from rfem_jax.kernels import is_available, kernel, newer_primitives, programs
 
 pytestmark = pytest.mark.skipif(not is_available(), reason="llvmlite is not installed")
 
@@ -253,3 +253,27 @@ TRIANGLE = np.tri(3, dtype=int)
 def test_numbers_of_several_types_and_at_the_ends_of_their_range(function):
     x, n = jnp.array([1.5, -0.7, 2.0]), jnp.array([2, -1, 3], jnp.int32)
     np.testing.assert_array_equal(strict(function)(x, n), jax.jit(function)(x, n))
+
+
+@pytest.mark.parametrize("function", [jnp.tanh, jnp.arcsin, jnp.arccos, jnp.log2, jnp.sinh])
+def test_functions_and_derivatives_have_machine_code_with_every_version_of_jax(function):
+    """Which make derivatives of different primitives."""
+
+    def twice(x):
+        def once(x):
+            return jax.jvp(function, (x,), (jnp.ones_like(x),))
+
+        return jax.jvp(once, (x,), (jnp.ones_like(x),))
+
+    x = jnp.array([0.03, 0.6, 0.95])
+    for a, b in zip(jax.tree.leaves(strict(twice)(x)), jax.tree.leaves(twice(x)), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-13)
+
+
+def test_polynomials():
+    x = jnp.array([0.3, -2.0, 5.0])
+    found = strict(lambda x: jax.jvp(lambda x: jnp.polyval(jnp.array([2.0, 0.5, -1.0]), x), (x,), (x,)))(x)
+    np.testing.assert_allclose(found, [2.0 * x**2 + 0.5 * x - 1.0, (4.0 * x + 0.5) * x], rtol=1e-14)
+    of_arrays = newer_primitives.polynomial(x, jnp.asarray(-1.0), x, jnp.asarray(2.0), unroll=None)
+    np.testing.assert_allclose(of_arrays, -1.0 + x * x + 2.0 * x**2, rtol=1e-14)
+    np.testing.assert_allclose(newer_primitives.one_minus_square(x), 1.0 - x**2, rtol=1e-15)

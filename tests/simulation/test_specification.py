@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -47,12 +48,43 @@ def simulation(model):
 @pytest.mark.slow
 def test_the_method_is_chosen_where_none_is_given(model):
     drive = MomentRamp("A", 1.5, 0.01)
-    chosen = Simulation(model, drive=drive, duration=0.05)
-    assert chosen.method == choose_method(model, Automatic(), drive, 0.05)
-    assert chosen.method.step is not None
-    assert "by generalised_alpha with steps of" in repr(chosen)
-    assert dataclasses.replace(chosen, duration=0.02).method == chosen.method
-    assert dataclasses.replace(chosen, method=METHOD).method == METHOD
+    automatic = Simulation(model, drive=drive, duration=0.05)
+    assert automatic.method == Automatic()
+    assert automatic.chosen == choose_method(model, Automatic(), drive, 0.05)
+    assert automatic.chosen.step is not None
+    assert "by generalised_alpha with steps of" in repr(automatic)
+    given = dataclasses.replace(automatic, method=METHOD)
+    assert given.method == given.chosen == METHOD
+
+
+@pytest.mark.slow
+def test_the_method_is_chosen_anew_for_another_drive_or_design(model):
+    """A step that was chosen for slow motion is too long for a fast one."""
+    slow = Simulation(model, drive=MomentRamp("A", 1.5, 0.01), duration=0.02)
+    fast = dataclasses.replace(slow, drive=MomentRamp("A", 150.0, 0.001))
+    assert fast.chosen == Simulation(model, drive=fast.drive, duration=0.02).chosen != slow.chosen
+    thin = design(model, {"coupler.section.height": 1e-3, "rocker.section.height": 1e-3})
+    assert dataclasses.replace(slow, design=thin).chosen != slow.chosen
+    with pytest.raises(InputError, match=r"method=simulation.chosen"):
+        jax.jit(lambda height: dataclasses.replace(slow, design=design(model, {"coupler.section.height": height})))(
+            1e-3
+        )
+    with pytest.raises(InputError, match=r"method=simulation.chosen"):
+        jax.jit(lambda tilt: simulate(dataclasses.replace(slow, duration=0.01), {"D.delta_x": tilt}).status)(1e-3)
+
+
+def test_trials_must_be_known_and_finite(model):
+    settings = {"drive": MomentRamp("A", 1.5, 0.01), "duration": 0.01, "method": METHOD}
+    for trials, pieces in (
+        ({"D.deltax": np.ones(2)}, ("D.deltax", "D.delta_x")),
+        ({"D.delta_x": np.array([np.nan, 0.0])}, ("`trials`", "finite")),
+        ({"D.delta_x": 0.1}, ("`trials`", "finite")),
+        ({"D.delta_x": np.array(["1 deg"])}, ("`trials`", "finite")),
+        (8, ("`trials`", "int")),
+    ):
+        with refused(*pieces):
+            Simulation(model, trials=trials, **settings)
+    assert Simulation(model, trials={"D.delta_x": np.ones(2)}, **settings).chosen == METHOD
 
 
 def test_a_start_in_words_belongs_to_the_model(model):
@@ -91,6 +123,20 @@ def test_what_is_wrong_is_said(model, simulation):
         Simulation(four_bar(2), drive=drive, duration=0.01)
     with refused("`method`", "RungeKutta4(step=1e-5)", "'rk4'"):
         Simulation(model, drive=drive, duration=0.01, method="rk4")
+    with refused("`method`", "Explicit(diffrax.Dopri8()", "Dopri8"):
+        Simulation(model, drive=drive, duration=0.01, method=diffrax.Dopri8())
+    with refused("`duraton`", "did you mean `duration`?"):
+        Simulation(model, drive=drive, duraton=0.01)
+    with refused("`drive`", "missing"):
+        Simulation(model, duration=0.01)
+    with refused("by their names", "drive="):
+        Simulation(model, drive, 0.01)
+    with refused("`start`", "0"):
+        Simulation(model, drive=drive, duration=0.01, method=METHOD, start=0)
+    with refused("`design`", "dict"):
+        Simulation(model, drive=drive, duration=0.01, method=METHOD, design={"coupler.section.height": 0.01})
+    with refused("`error`", "did you mean `errors`?"):
+        equations_of_motion(simulation, error={})
     with refused("`drive`", "driven joint"):
         Simulation(model, drive=MomentRamp("B", 1.5, 0.01), duration=0.01)
     with refused("`duration`", "missing"):
@@ -144,6 +190,11 @@ def test_cycles_of_the_version_before_work_and_warn(model):
     with pytest.warns(DeprecationWarning, match="steady_cycle"):
         former = steady_cycle(model, drive=drive, method=cycling.method, save_every=0.1, most=2)
     assert former.residual == now.residual
+    with refused("`start`", "cycle"):
+        steady_cycle(dataclasses.replace(cycling, start=now.start))
+    for wrong in ({"tolerance": -1.0}, {"most": 0}, {"most": 2.5}):
+        with refused(f"`{next(iter(wrong))}`"):
+            steady_cycle(cycling, **wrong)
     run = cycle_run(now, cycling)
     with pytest.warns(DeprecationWarning, match="cycle_run"):
         again = cycle_run(now, model, drive=drive, method=cycling.method, save_every=0.1)

@@ -106,7 +106,7 @@ class Problem(eqx.Module):
         check_distinct((m.name for m in self.metrics), "metrics")
         _check_angle(model, self.metrics)
         self.duration, self.save_every = simulation.require_duration(), simulation.save_every
-        self.method = simulation.method
+        self.method = simulation.chosen
 
     # `jax.jit(problem)` keys its cache by the function's identity.
     def __hash__(self) -> int:
