@@ -109,9 +109,19 @@ class Page:
         element = self.find(selector)
         self.run("arguments[0].scrollIntoView({block: 'center'})", element)
         element.click()
+        self.let_draw()
 
     def tab(self, title):
         next(tab for tab in self.all("[role=tab]") if tab.text == title).click()
+        self.let_draw()
+
+    def let_draw(self):
+        """Let the browser draw: a canvas that appears or changes its size is drawn at the end of a frame.
+
+        A script may run before that, and would see pixels which nobody sees; the second frame begins after it.
+        """
+        script = "const done = arguments[0]; requestAnimationFrame(() => requestAnimationFrame(() => done()))"
+        self.browser.execute_async_script(script)
 
     def slide(self, selector, value):
         """Move a slider as a hand does, to a value."""
@@ -143,6 +153,7 @@ class Page:
             ActionChains(self.browser, duration=30).move_to_element_with_offset(element, *at(start)).click_and_hold()
         )
         chain.move_to_element_with_offset(element, *at(end)).release().perform()
+        self.let_draw()
 
     def complaints(self):
         """What the console says, but of what other tests have asked for."""
