@@ -12,6 +12,7 @@ from rfem_jax import (
     Automatic,
     GeneralisedAlpha,
     InputError,
+    Mechanism,
     MomentRamp,
     PrescribedRate,
     Problem,
@@ -29,7 +30,7 @@ from rfem_jax import (
 )
 from rfem_jax.simulation.accuracy import choose_method
 from tests.description.conftest import _refused as refused
-from tests.mechanisms import four_bar
+from tests.mechanisms import four_bar, three_link_loop
 from tests.programs.conftest import PENDULUM
 
 METHOD = GeneralisedAlpha(step=1e-3)

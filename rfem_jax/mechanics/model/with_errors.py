@@ -10,6 +10,7 @@ is computed here, once a simulation.
 
 import dataclasses
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -19,6 +20,7 @@ from jax import Array
 from jax.core import Tracer
 from jaxtyping import ArrayLike, Bool, Float, Int
 
+from rfem_jax.compilation.naming import Names
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.basics.errors import InputError, suggestion
 from rfem_jax.description.basics.units import quantity
@@ -36,6 +38,17 @@ from rfem_jax.mechanics.model.model import BASE, Model, Topology, rfe_fractions
 HALF_TURN = np.pi * (1.0 + 1e-12)  # rad
 
 
+class Owners(NamedTuple):
+    """Names of the joints and links that errors belong to, in the order of the arrays."""
+
+    joints: tuple[str, ...]
+    links: tuple[str, ...]
+
+    def renamed(self, names: Names) -> "Owners":
+        """With other names; called by `compilation.naming`."""
+        return Owners(tuple(map(names.of, self.joints)), tuple(map(names.of, self.links)))
+
+
 class AssemblyErrors(eqx.Module):
     """Deviations from the nominal mechanism, all zero by default.
 
@@ -43,6 +56,7 @@ class AssemblyErrors(eqx.Module):
     [rad] last where any joint may have it (`Topology.error_components`); pin: tilts [rad] about x and z of a crooked
     pin, on both sides at once; length [m] and twist [rad] of every link; parameters: deviations of numbers of the
     description from their values [SI units], by their full names, which `designed` adds to these; None without any.
+    owners: whose errors these are, so that no other mechanism takes them for its own.
     """
 
     seat: Float[Array, "components joints"]
@@ -51,6 +65,7 @@ class AssemblyErrors(eqx.Module):
     length: Float[Array, " links"]
     twist: Float[Array, " links"]
     parameters: dict[str, Float[Array, ""]] | None = None
+    owners: Owners | None = eqx.field(static=True, default=None)
 
 
 def assembly_errors(model: Model, values: Mapping[str, ArrayLike | str] | None = None) -> AssemblyErrors:
@@ -86,9 +101,24 @@ def assembly_errors(model: Model, values: Mapping[str, ArrayLike | str] | None =
         else:
             parts[part][place] = value
     arrays = {part: jnp.asarray(values, jnp.float64) for part, values in parts.items()}
-    errors = AssemblyErrors(arrays["seat"], arrays["bore"], arrays["pin"], arrays["length"], arrays["twist"])
+    errors = AssemblyErrors(**arrays, owners=Owners(topology.joints, topology.links))
     errors = _insert(errors, *zip(*traced)) if traced else errors
     return dataclasses.replace(errors, parameters=deviations) if deviations else errors
+
+
+def require_errors_of(topology: Topology, errors: AssemblyErrors) -> None:
+    """Raise InputError for errors of a mechanism with other joints or links."""
+    owners = Owners(topology.joints, topology.links) if errors.owners is None else errors.owners
+    seats = len(topology.error_components), len(topology.joints)
+    shapes = seats, seats, (2, len(topology.joints)), (topology.n_links,), (topology.n_links,)
+    arrays = errors.seat, errors.bore, errors.pin, errors.length, errors.twist
+    if (owners.joints, owners.links) == (topology.joints, topology.links) and shapes == tuple(map(jnp.shape, arrays)):
+        return
+    raise InputError(
+        f"Argument `errors` must be errors of this mechanism, with joints {', '.join(topology.joints)} and links "
+        f"{', '.join(topology.links)}, but is for joints {', '.join(owners.joints)} and links "
+        f"{', '.join(owners.links)}; make it by assembly_errors(model, {{...}}) with the same model."
+    )
 
 
 def sum_of(errors: AssemblyErrors, more: AssemblyErrors) -> AssemblyErrors:

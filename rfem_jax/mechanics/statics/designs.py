@@ -37,7 +37,7 @@ from rfem_jax.mechanics.model.discretisation import discretise
 from rfem_jax.mechanics.model.model import BASE, Model, Topology, rfe_fractions
 from rfem_jax.mechanics.model.sources import NOTHING, Blueprint, Source
 from rfem_jax.mechanics.model.status import DESIGN_OUT_OF_RANGE, NOT_CLOSED, OK, STATUS
-from rfem_jax.mechanics.model.with_errors import AssemblyErrors, require_possible
+from rfem_jax.mechanics.model.with_errors import AssemblyErrors, require_errors_of, require_possible
 from rfem_jax.mechanics.statics.start_closure import close_start
 
 LONGEST_ARM = 0.5  # of a segment between two spring-damping elements
@@ -133,10 +133,12 @@ def designed(model: Model, design: Design | None, errors: AssemblyErrors | None 
 
     **Arguments:** `design`: None or a `Design` of this model; `errors`: whose deviations of parameters are added.
 
-    **Raises:** `InputError` for a design of another model.
+    **Raises:** `InputError` for a design or errors of another model.
     """
     values = {} if design is None else design.values
     deviations = {} if errors is None or errors.parameters is None else errors.parameters
+    if errors is not None:
+        require_errors_of(model.topology, errors)
     left = None if errors is None else replace(errors, parameters=None)
     bare = replace(model, source=None)
     if not values and not deviations:
