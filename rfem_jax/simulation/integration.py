@@ -105,7 +105,7 @@ def grid_for(
     """
     if method.step is None and not method.adaptive:
         raise InputError(
-            f"Argument `method` must have a step or tolerances here, but {method.name!r} has none; "
+            f"Argument `method` must have a step or tolerances here, but {method.name!r} has neither; "
             "replace it by `choose_method(model, method, drive, duration)`, which chooses the step."
         )
     rows = all_step_ends(drive, model, longest_interval(duration, method.step, save_every))

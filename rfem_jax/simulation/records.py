@@ -48,7 +48,7 @@ class SectionHistory(eqx.Module):
         """Squares of the von Mises stress [Pa^2] of axial force, bending and torsion at points of the edge."""
         if self.edge is None:
             raise InputError(
-                "Argument `edge` of a section must be given for stresses, but is not; write `edge_y`, `edge_z`, "
+                "Argument `edge` of a section must be given for stresses, but is missing; write `edge_y`, `edge_z`, "
                 "`edge_modulus` and `torsion_modulus` into the section."
             )
         return stress_squares(jnp.asarray(self.edge), jnp.asarray(self.resultants))
@@ -79,7 +79,9 @@ def _require_record(model: Model, name: str) -> None:
         return
     if not owner or kind not in known:
         every = [f"{(known[one] or ('A',))[0]}.{one}" for one in known] + [*OF_RUNS]
-        raise InputError(f"Argument `record` must name records, but {name!r} is none; {suggestion(name, every)}")
+        raise InputError(
+            f"Argument `record` must name records, but {name!r} is not a record; {suggestion(name, every)}"
+        )
     of = divided(owner)[0] if kind == "deflection" else owner
     if of not in known[kind]:
         special = {"bearing": "joints with a `bearing`", "friction_loss": "joints with friction"}

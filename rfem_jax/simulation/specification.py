@@ -174,12 +174,14 @@ def _known_trials(model: Model, trials: Any) -> dict[str, ArrayLike]:
     known = [*model.topology.error_names, *(() if model.source is None else parameters(model))]
     for name, values in trials.items():
         if name not in known and not str(name).startswith("drive."):
-            raise InputError(f"Argument `trials` must name errors, but has {name!r}; {suggestion(name, known)}")
+            raise InputError(
+                f"Argument `trials` must name errors, but {name!r} is not an error; {suggestion(name, known)}"
+            )
         numbers = np.asarray(values)
         if numbers.ndim != 1 or numbers.dtype.kind not in "fiu" or not np.isfinite(numbers).all():
             raise InputError(
-                f"Argument `trials` must have finite numbers, one for each assembly, but {name!r} has not; give arrays "
-                "(n,) in SI units."
+                f"Argument `trials` must have finite numbers, one for each assembly, but those of {name!r} are not; "
+                "give arrays (n,) in SI units."
             )
     return dict(trials)
 
@@ -203,7 +205,7 @@ def simulation_of_call(function: str, given: Simulation | Model, former: dict[st
         return Simulation(given, **former)
     for name in former:
         raise InputError(
-            f"Argument `{name}` must be one of `{function}`, but is not; "
+            f"Argument `{name}` must be left out, but was given to `{function}`, which does not know it; "
             + ("give it to `Simulation`." if name in of_simulation else suggestion(name, of_simulation))
         )
     if not isinstance(given, Simulation):

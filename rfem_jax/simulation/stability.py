@@ -168,8 +168,8 @@ def _stability_function(method: Method, z: np.ndarray) -> np.ndarray:
     tableau = _tableau(method)
     if tableau is None:
         raise InputError(
-            f"Argument `method` must be a Runge-Kutta method for its largest stable step, but {method.name!r} is none; "
-            "try steps."
+            f"Argument `method` must be a Runge-Kutta method for its largest stable step, but {method.name!r} is not "
+            "one; try steps."
         )
     if isinstance(tableau, diffrax.MultiButcherTableau):
         tableau = tableau.tableaus[0]

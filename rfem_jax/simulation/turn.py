@@ -72,8 +72,8 @@ def turn_positions(
     topology = model.topology
     if topology.driven_coordinate is None:
         raise InputError(
-            "Argument `model` must have a driven joint for a turn, but has none; give the study a drive, or the "
-            "mechanism a `driven_joint`."
+            "Argument `model` must have a driven joint for a turn, but no joint is driven; give the study a drive, or "
+            "the mechanism a `driven_joint`."
         )
     if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
         raise InputError(f"Argument `positions` must be a whole number of at least 1, but is {count!r}; 72 is usual.")

@@ -124,11 +124,11 @@ class ParameterNames(Mapping[str, Parameter]):
                 f"{subject(where)} must name numbers that are given, but `{name}` {_FOLLOWING[component]}."
             )
         raise InputError(
-            f"{subject(where)} must name parameters, but `{name}` is none; {suggestion(name, self._known)}"
+            f"{subject(where)} must name parameters, but `{name}` is not a parameter; {suggestion(name, self._known)}"
         )
 
 
-_AT_THE_END = "is left out and at the link's end; set the link's length, or give the position in the description"
+_AT_THE_END = "is left out and lies at the link's end; set the link's length, or give the position in the description"
 _FOUND = "follows from closing the loops or from assembly; only what a drive holds is given"
 _FOLLOWING = {
     "shear_factor": "is derived from the diameters; give it in the description",

@@ -32,7 +32,7 @@ def reorder(values: Array | np.ndarray, order: Sequence[int] | np.ndarray, axis:
     """
     order = tuple(int(place) for place in order)
     if sorted(order) != list(range(values.shape[axis])):
-        raise ValueError(f"{order} is no permutation of {values.shape[axis]} rows")
+        raise ValueError(f"{order} is not a permutation of {values.shape[axis]} rows")
     return _reorder.bind(values, order=order, axis=axis)
 
 
@@ -71,7 +71,7 @@ def sum_groups(values: Array | np.ndarray, counts: Sequence[int], axis: int = -1
 
 def _grouped(primitive: Primitive, values, counts: Sequence[int], axis: int, rows: int) -> Array:
     if values.shape[axis] != rows:
-        raise ValueError(f"counts {tuple(counts)} are not for {values.shape[axis]} rows")
+        raise ValueError(f"The counts {tuple(counts)} must be of {rows} rows, but the axis has {values.shape[axis]}.")
     return primitive.bind(values, counts=tuple(int(n) for n in counts), axis=axis % values.ndim)
 
 

@@ -120,7 +120,7 @@ def joint_law(force: JointForce, coordinate: int, place: int) -> JointLaw:
         return TableLaw(coordinate, place, *columns)
     if isinstance(force, JointForceFunction):
         return FunctionLaw(coordinate, place, force.function)
-    raise TypeError(f"{type(force).__name__} is no force that this model knows.")
+    raise TypeError(f"{type(force).__name__} is not a force that the mechanics knows; add its law here.")
 
 
 def law_derivatives(

@@ -234,7 +234,7 @@ def spring_between(force: BetweenPoints, parent: NodeFrame, child: NodeFrame) ->
         return TableBetween(parent, child, *(jnp.asarray(x, jnp.float64) for x in (force.lengths, force.forces)))
     if isinstance(force, PointSpringFunction):
         return FunctionBetween(parent, child, force.function)
-    raise TypeError(f"{type(force).__name__} is no force that this model knows.")
+    raise TypeError(f"{type(force).__name__} is not a force that the mechanics knows; add its law here.")
 
 
 def load_at(force: AtPoint, base: NodeFrame, child: NodeFrame) -> GivenLoad:

@@ -119,7 +119,7 @@ def _locate(topology: Topology, name: str) -> tuple[str, int | tuple[int, int]]:
     """Field of `AssemblyErrors` and place in it of a named error."""
     if name not in topology.error_names:
         raise InputError(
-            f"Argument `errors` must name errors of the model, but has {name!r}; "
+            f"Argument `errors` must name errors of the model, but {name!r} is not one; "
             f"{suggestion(name, topology.error_names)}"
         )
     owner, *middle, kind = name.split(".")

@@ -177,7 +177,7 @@ def _require_tree_joints(model: Model, names: Iterable[str]) -> None:
     for name in names:
         if name not in tree:
             raise InputError(
-                f"Argument `hold` must name joints of the tree, but has {name!r}; {suggestion(name, tree)}"
+                f"Argument `hold` must name joints of the tree, but {name!r} is not one; {suggestion(name, tree)}"
             )
         kind = model.topology.kind(tree.index(name)).nominal
         if len(kind.freedoms) != 1:

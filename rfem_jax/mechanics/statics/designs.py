@@ -112,8 +112,8 @@ def source_in(model: Model) -> Source:
     """The numbers that a model was made of; raises InputError if it has none."""
     if model.source is None:
         raise InputError(
-            "Argument `model` must have the numbers of its description, but has none; take the model that `discretise` "
-            "returns."
+            "Argument `model` must know the numbers of its description, but has lost them; take the model that "
+            "`discretise` returns."
         )
     return model.source
 
