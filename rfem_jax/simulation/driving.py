@@ -140,8 +140,8 @@ def require_driven(model: Model, drive: Drive) -> None:
         coordinate = model.topology.drives[model.topology.drive_labels.index(label)]
         if isinstance(one, PrescribedDrive) and model.topology.tilted(coordinate) is not None:
             raise InputError(
-                "Argument `drive` must not prescribe the angle of a joint whose tilt is sprung or has play, but prescribes "
-                f"that of `{one.joint}`; leave its tilt rigid, drive another joint, or give a moment."
+                "Argument `drive` must not prescribe the angle of a joint whose tilt is sprung or has play, but "
+                f"prescribes that of `{one.joint}`; leave its tilt rigid, drive another joint, or give a moment."
             )
         if isinstance(one, PrescribedDrive) and coordinate in model.topology.rated:
             raise InputError(
