@@ -64,7 +64,7 @@ def drive_limit(model: Model, drive: Drive, duration: float) -> DriveLimit | Non
     drives = active_drives(model, drive)
     if not drives.prescribed:
         return None
-    times, asked = _asked(model, drives, all_jumps(drive, model), duration)
+    times, asked = _prescribed_positions(model, drives, all_jumps(drive, model), duration)
     places = np.array([topology.place_of(k) for k in drives.prescribed])
     units = joint_units(geometry_of(model))[list(drives.prescribed)]
     turns = len(places) == 1 and not topology.slides[drives.prescribed[0]]
@@ -78,7 +78,7 @@ def drive_limit(model: Model, drive: Drive, duration: float) -> DriveLimit | Non
     return DriveLimit(time, topology.label_of(k), topology.slides[k], float(position[0]), start)
 
 
-def _asked(
+def _prescribed_positions(
     model: Model, drives: ActiveDrives, jumps: tuple[float, ...], duration: float
 ) -> tuple[Float[np.ndarray, " times"], Float[np.ndarray, "times prescribed"]]:
     """Times [s] and the positions [rad, m] that are asked for there."""

@@ -93,7 +93,7 @@ class Simulation(eqx.Module):
         self.model, self.drive, self.start, self.design, self.method = model, drive, start, design, method
         self.duration = None if duration is None else positive_quantity(duration, "time", "duration")
         self.save_every = None if save_every is None else positive_quantity(save_every, "time", "save_every")
-        self.trials = None if trials is None else _known_trials(model, trials)
+        self.trials = None if trials is None else _checked_trials(model, trials)
         self.chosen = self._choose()
 
     def _choose(self) -> Method:
@@ -164,7 +164,7 @@ def _require_kinds(model: Any, method: Any, start: Any, design: Any) -> None:
     problems.refuse()
 
 
-def _known_trials(model: Model, trials: Any) -> dict[str, ArrayLike]:
+def _checked_trials(model: Model, trials: Any) -> dict[str, ArrayLike]:
     """Trial errors by names that the model or its drives have, of finite numbers."""
     if not isinstance(trials, Mapping):
         raise InputError(

@@ -233,7 +233,7 @@ def _fixed(solver, carry: Carry, schedule: Schedule, conditions, tolerance=None)
         t0, h, operators, place = schedule.step(index)
         own = conditions if operators is None else dataclasses.replace(conditions, operators=operators)
         if schedule.parts and isinstance(solver, GeneralisedAlphaSolver):
-            y, memory = _at_new_length(solver, y, memory, before, h, place, tolerance)
+            y, memory = _step_start(solver, y, memory, before, h, place, tolerance)
             before = jnp.where(place >= 0.0, h, before)
         if tolerance is not None:
             y, memory = follow_contacts(part, own.actual, t0, h, y, memory, own.operators, tolerance)
@@ -272,7 +272,7 @@ def _fixed(solver, carry: Carry, schedule: Schedule, conditions, tolerance=None)
     return carry._replace(trajectory=trajectory, peaks=peaks, memory=memory)
 
 
-def _at_new_length(solver: GeneralisedAlphaSolver, y, memory: Memory, before, h, place, tolerance):
+def _step_start(solver: GeneralisedAlphaSolver, y, memory: Memory, before, h, place, tolerance):
     """State and memory at the start of a step, whose length may differ from that of the step before."""
     trajectory, peaks = y
     if tolerance is not None and memory.following is not None:

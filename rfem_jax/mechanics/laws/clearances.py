@@ -146,9 +146,9 @@ class PinInBush(FrameForce):
             on_surface, arms, about_axis = self._friction(pin, contacts, normal)
             force = force + jnp.sum(on_surface, axis=1)
             moment = moment + jnp.sum(cross(arms, on_surface), axis=1) + about_axis
-        return self._on_child(pose, force, moment)
+        return self._child_load(pose, force, moment)
 
-    def _on_child(
+    def _child_load(
         self, pose: Pose, force: Float[Array, "3"], moment: Float[Array, "3"]
     ) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
         """Force and moment on the child at its point, in the parent's axes, of those on the pin at its middle in the

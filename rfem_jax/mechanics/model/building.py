@@ -104,11 +104,11 @@ def arrays_of(parts: Parts, structure: PartStructure) -> Model:
         length=_array([link.length for link in links]),
         section=_sections(links),
         parent_rotation=_rotations([j.orientation for j in joints]),
-        parent_position=_columns([_in_node(topology, links, node, j.position, True) for j, node in seats]),
+        parent_position=_columns([_node_place(topology, links, node, j.position, True) for j, node in seats]),
         child_rotation=_rotations([j.child_orientation for j in joints]),
-        child_position=_columns([_in_node(topology, links, node, j.child_position, j.cut) for j, node in bores]),
+        child_position=_columns([_node_place(topology, links, node, j.child_position, j.cut) for j, node in bores]),
         point_mass=_array([mass.mass for mass in masses]),
-        point_position=_columns([_in_node(topology, links, node, mass.position, False) for node, mass in held]),
+        point_position=_columns([_node_place(topology, links, node, mass.position, False) for node, mass in held]),
         point_inertia=_columns([mass.inertia for mass in masses]),
         start_joints=_array([value for values in start for value in values]),
         cut_angles=_array([0.0] * (len(joints) - len(links))),
@@ -245,7 +245,7 @@ def _frame_forces(parts: Parts, topology: Topology, links: Sequence[Link], point
             continue
         frames = []
         for node, (_, place) in zip(nodes[force.name], force.ends(), strict=True):
-            position = jnp.asarray(array_of(_in_node(topology, links, node, place, False)))
+            position = jnp.asarray(array_of(_node_place(topology, links, node, place, False)))
             frames.append(NodeFrame(node, unit, position))
         if isinstance(force, BetweenPoints):
             found[force.name] = spring_between(force, *frames)
@@ -255,7 +255,7 @@ def _frame_forces(parts: Parts, topology: Topology, links: Sequence[Link], point
     return found
 
 
-def _in_node(
+def _node_place(
     topology: Topology, links: Sequence[Link], node: int, position: Sequence[Number] | None, at_end: bool
 ) -> list[Number]:
     """A place in the frame of the node that holds it [m]; None: the end of its link (`at_end`) or its start."""

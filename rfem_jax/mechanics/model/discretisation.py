@@ -170,7 +170,7 @@ def _require_apart(model: Model) -> None:
     """Raise InputError for a force between points that coincide at the start: it has no direction."""
     geometry = geometry_of(model)
     placed = place(geometry, np.asarray(model.start_joints))
-    for name, law in _between_points(model).items():
+    for name, law in _point_pair_forces(model).items():
         one, other = _places(geometry, placed, law)
         if not np.linalg.norm(other - one) > SMALLEST_DISTANCE * geometry.scale:
             raise InputError(
@@ -179,7 +179,7 @@ def _require_apart(model: Model) -> None:
             )
 
 
-def _between_points(model: Model) -> dict[str, PointLaw]:
+def _point_pair_forces(model: Model) -> dict[str, PointLaw]:
     """The forces along the line of two points."""
     return {name: law for name, law in (model.frame_forces or {}).items() if isinstance(law, PointLaw)}
 
@@ -242,7 +242,7 @@ def _idle_coordinates(model: Model) -> dict[int, str]:
         for k in topology.coordinates[l]:
             twists[l, :, k] += units[k] * placed.twists[k]
     twists[:, 3:] /= geometry.scale
-    stretched = [_stretching(model, placed, law, twists) for law in _between_points(model).values()]
+    stretched = [_stretching(model, placed, law, twists) for law in _point_pair_forces(model).values()]
     held = [closure_jacobian(geometry, placed)[:, : topology.n_freedoms], sprung, *stretched]
     free = null_space(np.vstack(held))
     if free.shape[1] == 0:

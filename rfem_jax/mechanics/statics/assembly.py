@@ -35,11 +35,11 @@ from rfem_jax.mechanics.elements.linear_validity import linear_error, linear_ran
 from rfem_jax.mechanics.forces.bush_contacts import ContactState, contact_states
 from rfem_jax.mechanics.forces.element_loads import element_tangents, frame_loads
 from rfem_jax.mechanics.forces.joint_forces import (
-    about_parents_axes,
     applied_forces,
     by_coordinate,
     law_forces,
     law_tangent,
+    loads_about_parent_axes,
 )
 from rfem_jax.mechanics.implicit.residual import Residual
 from rfem_jax.mechanics.kinematics.cut_joints import Closure, closure, spring_residual, spring_row_tangent
@@ -460,12 +460,12 @@ def _static_residual(
     cuts = closure(actual, motion, scale)
     at_rest = jnp.zeros((3, n + topology.n_rfes))
     inertial = loads.inertial_loads(actual, motion, at_rest, at_rest)
-    force, moment = loads.beyond_elements(inertial, frame_loads(actual, motion, None))
+    force, moment = loads.loads_beyond_elements(inertial, frame_loads(actual, motion, None))
     wrenches = loads.chain_wrenches(actual, motion, cuts, multipliers, (force, moment))
     hinge = dot(motion.axis, by_freedom(topology, jnp.stack(wrenches[:n], axis=1)))
     applied = applied_forces(topology, position, DriveInput(), law_forces(actual, state))
     if applied:
-        hinge = about_parents_axes(topology, position, hinge - by_coordinate(topology, applied))
+        hinge = loads_about_parent_axes(topology, position, hinge - by_coordinate(topology, applied))
     force, moment = -force[:, n:], -moment[:, n:]
     for j, (left, right) in enumerate(zip(topology.parents, topology.children)):
         for node, sign in ((left, -1.0), (right, 1.0)):

@@ -150,7 +150,7 @@ def designed(model: Model, design: Design | None, errors: AssemblyErrors | None 
     base = bare
     if plan.products and base.point_products is None:
         base = replace(base, point_products=jnp.zeros_like(base.point_inertia))
-    changed, status, gap = _made(base, source, values, deviations, plan)
+    changed, status, gap = _designed_arrays(base, source, values, deviations, plan)
     leaves, tree = jax.tree.flatten(base)
     new = iter(changed)
     leaves = [next(new) if changes else leaf for leaf, changes in zip(leaves, plan.changes, strict=True)]
@@ -232,7 +232,7 @@ def _plan_of(blueprint: Blueprint, topology: Topology, names: tuple[str, ...]) -
 
 
 @partial(Program, nameless=True)
-def _made(
+def _designed_arrays(
     base: Model, source: Source, values: dict[str, Array], deviations: dict[str, Array], plan: Plan
 ) -> tuple[list[Array], Int[Array, ""], Float[Array, ""]]:
     """The leaves that change, status and gap [m]."""
@@ -245,7 +245,7 @@ def _made(
 
     def closed(numbers: list[Array], start: Model) -> tuple[Model, Float[Array, ""]]:
         made = arrays_of(blueprint.filled(numbers), structure)
-        made = replace(made, start_joints=_held_start(start, made), cut_angles=start.cut_angles)
+        made = replace(made, start_joints=_start_values(start, made), cut_angles=start.cut_angles)
         if not plan.closes:
             return made, jnp.zeros(())
         found = close_start(start, made)
@@ -267,7 +267,7 @@ def _made(
     return [jnp.where(status == OK, new, old) for new, old, changes in leaves if changes], status, gap
 
 
-def _held_start(base: Model, made: Model) -> Float[Array, " numbers"]:
+def _start_values(base: Model, made: Model) -> Float[Array, " numbers"]:
     """Start values: those that drives hold are numbers of the design, the others start from the nominal ones."""
     topology = base.topology
     held = np.isin(np.arange(base.start_joints.shape[0]), [topology.place_of(k) for k in topology.drives])

@@ -35,7 +35,7 @@ from rfem_jax.mechanics.implicit.newton import (
 from rfem_jax.mechanics.implicit.residual import Evaluation, residual_of
 from rfem_jax.mechanics.laws.clearances import ContactMemory
 from rfem_jax.mechanics.model.model import Coordinates
-from rfem_jax.simulation.batches import like_batched
+from rfem_jax.simulation.batches import with_batch_axes
 from rfem_jax.simulation.equations import Conditions, Integrals, Scalar, Trajectory
 
 SOLUTION = "solution of an implicit step"  # what reverse mode keeps of a step
@@ -159,7 +159,7 @@ def form_matrix(
 def solved_step(method: ImplicitMethod, matrix: IterationMatrix, constants: StepConstants, start: StepStart) -> StepEnd:
     """The end of a step, differentiable with respect to its start."""
     end = _solve(method, matrix, constants, start)
-    return like_batched(end, *_of_all_samples(end.memory.accelerations))
+    return with_batch_axes(end, *_batched_accelerations(end.memory.accelerations))
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -174,7 +174,7 @@ def _solve(method, matrix, constants, start):
     return method.solve(matrix, constants, start)
 
 
-def _of_all_samples(accelerations: Coordinates) -> list[Array]:
+def _batched_accelerations(accelerations: Coordinates) -> list[Array]:
     """Accelerations with the batch axes of a step: of joints, or of rfes where no joint has a free motion."""
     return [x for x in (accelerations.joints, accelerations.elastic) if x.size][:1]
 
@@ -190,7 +190,7 @@ def _differentiate(method, primals, tangents):
     # Kept by name, so that reverse mode does not repeat Newton's method.
     solution = jax.tree.map(lambda x: checkpoint_name(x, SOLUTION), _solution(method, matrix, constants, start))
     end, tangent = _end_and_tangent(method, matrix, constants, solution, inputs, fixed, along)
-    return like_batched(end, *_of_all_samples(solution.accelerations)), tangent
+    return with_batch_axes(end, *_batched_accelerations(solution.accelerations)), tangent
 
 
 def _differentiate_solution(method, primals, tangents):
