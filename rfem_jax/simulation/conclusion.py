@@ -27,9 +27,9 @@ from rfem_jax.simulation.stepping import Carry
 
 
 class LoadSummary(NamedTuple):
-    """Of all joints over the whole duration: mean squares of the resultant force [N^2] and moment [(N m)^2], their RMS
-    values, and maxima of the axial, the normal and the resultant force [N] (the first two NaN without an axis) and of
-    the resultant moment [N m]."""
+    """Loads of all joints over the whole duration: mean squares of the resultant force [N^2] and moment [(N m)^2],
+    their RMS values, and maxima of the axial, the normal and the resultant force [N] (the first two NaN without an
+    axis) and of the resultant moment [N m]."""
 
     mean_squares: Float[Numbers, "2 joints"]
     rms: Float[Numbers, "2 joints"]

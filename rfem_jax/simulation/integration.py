@@ -83,8 +83,8 @@ def simulate_steps(
     record: str | Iterable[str] = (),
     design: Design | None = None,
 ) -> Run:
-    """As `simulate` of these, over a grid of `grid_for` whose number of steps in an interval may be traced (see
-    `time_grid.of_any_step`)."""
+    """Simulate over a grid made by `grid_for`. Arguments as of `simulate`; the number of steps in an interval may be
+    traced (see `time_grid.of_any_step`)."""
     drive = drive if design is None else drive_of_design(model, drive, design)
     made = designed(model, design, errors)
     asked = require_records(made.model, record)

@@ -60,7 +60,7 @@ class SectionHistory(eqx.Module):
 
 
 def require_records(model: Model, names: str | Iterable[str]) -> tuple[str, ...]:
-    """The names of records, each once. Raises InputError for one that the model has not."""
+    """The names of records, each once. Raises InputError for a record that the model does not have."""
     names = tuple(dict.fromkeys((names,) if isinstance(names, str) else names))
     for name in names:
         _require_record(model, name)
@@ -94,7 +94,7 @@ def _require_record(model: Model, name: str) -> None:
 def instant_records(
     model: Model, actual: ModelWithErrors, state: State, instant: Instant, names: Sequence[str]
 ) -> dict[str, Any]:
-    """The records of one instant."""
+    """Records of one instant, by their names."""
     found: dict[str, Any] = {}
     for name in names:
         owner, _, kind = name.rpartition(".")

@@ -131,7 +131,7 @@ class Simulation(eqx.Module):
         return cls(changes.pop("model", None) or model_of_study(study), **(settings | changes))
 
     def require_duration(self) -> float:
-        """The duration [s]. Raises InputError where there is none."""
+        """The duration [s]. Raises InputError if it was not given."""
         if self.duration is None:
             raise InputError(
                 "Argument `duration` of a simulation must be given, but is missing; add the time to simulate [s]."

@@ -89,9 +89,10 @@ def turn_positions(
 
 
 def closed_poses(model: Model, positions: Float[np.ndarray, " positions"]) -> ClosedPose:
-    """The closed perfect rigid mechanism at positions [rad, m] of its first drive, each found from the one before.
+    """Closed poses of the perfect rigid mechanism at positions [rad, m] of its first drive; the search for each pose
+    begins at the pose before.
 
-    **Raises:** `InputError` for a position at which it does not close.
+    **Raises:** `InputError` for a position at which the mechanism does not close.
     """
     driven, pose, found = model.topology.driven_position, np.asarray(model.start_joints), []
     for position in positions:

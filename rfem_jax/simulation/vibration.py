@@ -137,8 +137,8 @@ class Vibration:
         return Modes(np.append(modes.squares, largest[0]), np.append(modes.damping, largest[1]))
 
     def _joint_law_rows(self, joints: np.ndarray, placed: Placed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of the springs, dampers and laws of joints: rows (laws, 6 n) that give the rates of their coordinates from
-        the velocities L^T w of all nodes, stiffness and damping at a position, zero where they are negative."""
+        """Rows (laws, 6 n) that give the rates of joint coordinates with springs, dampers or laws from the velocities
+        L^T w of all nodes, with stiffness and damping at a position, zero where they are negative."""
         laws = list(self.forces.values())
         readers = [self._reader(law, placed) for law in laws]
         tangents = [-np.array(law_derivatives(law, _position(law, joints), 0.0), float) for law in laws]
@@ -204,8 +204,8 @@ class Vibration:
     def _principal(
         self, placed: Placed, element: FrameForce
     ) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-        """Of an element's stiffness and of its damping: rows (k, 6 n) that give the rates along the principal
-        directions from the velocities w, and the values there, zero where they are negative."""
+        """Rows (k, 6 n) that give the rates along the principal directions of an element's stiffness and of its damping
+        from the velocities w, with the principal values, zero where they are negative."""
         if element.components == 0:
             nothing = np.zeros((0, self.size)), np.zeros(0)
             return nothing, nothing
@@ -219,7 +219,7 @@ class Vibration:
         return principal(1.0, 0.0), principal(0.0, 1.0)
 
     def _reader(self, law: JointLaw | Friction, placed: Placed) -> Reader:
-        """How to read the rate of a law's motion."""
+        """Function that reads the rate of a law's motion."""
         if law.coordinate is not None:
             return self._coordinate_reader(law.coordinate, placed)
         assert isinstance(law, Friction), "only friction is in cut joints"
@@ -231,7 +231,7 @@ class Vibration:
         return ((topology.parents[law.joint], -1.0), (topology.children[law.joint], 1.0)), reader
 
     def _coordinate_reader(self, k: int, placed: Placed) -> Reader:
-        """How to read the rate of a joint coordinate."""
+        """Function that reads the rate of a joint coordinate."""
         link = self.topology.link_of_freedom[k]
         own = list(self.topology.coordinates[link])
         # The coordinate's rate of a twist over the joint that keeps its constraints.
@@ -239,7 +239,7 @@ class Vibration:
         return ((self.topology.parents[link], -1.0), (link, 1.0)), reader
 
     def _closure_reader(self, equation: int, placed: Placed) -> Reader:
-        """How to read the rate of a closure equation [m] of a compliant cut joint."""
+        """Function that reads the rate of a closure equation [m] of a compliant cut joint."""
         topology = self.topology
         joint = next(j for j, rows in zip(topology.cuts, topology.constraints, strict=True) if equation in rows)
         kind, left = topology.kind(joint).nominal, placed.joint_rotation[joint]

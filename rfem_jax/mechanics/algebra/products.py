@@ -144,7 +144,7 @@ def _dtype(operands) -> np.dtype:
 
 
 def _derivative(primitive: Primitive):
-    """The rule of forward mode: of a sum of products it is one, too."""
+    """Rule of forward mode: the tangent of a sum of products is a sum of products, too."""
 
     def rule(primals, tangents, **settings):
         value = primitive.bind(*primals, **settings)

@@ -26,9 +26,9 @@ _reorder, _repeat, _sum_groups = Primitive("reorder"), Primitive("repeat_rows"),
 
 
 def reorder(values: Array | np.ndarray, order: Sequence[int] | np.ndarray, axis: int = 0) -> Array:
-    """Rows `order[0]`, `order[1]`, ... of an axis; `order` is a permutation of its places.
+    """Rows `order[0]`, `order[1]`, ... of an axis.
 
-    **Raises:** `ValueError` if it is none.
+    **Raises:** `ValueError` if `order` is not a permutation of the axis's places.
     """
     order = tuple(int(place) for place in order)
     if sorted(order) != list(range(values.shape[axis])):
@@ -37,7 +37,7 @@ def reorder(values: Array | np.ndarray, order: Sequence[int] | np.ndarray, axis:
 
 
 def rows(values: Array | np.ndarray, places: Sequence[int] | np.ndarray, axis: int = 0) -> Array:
-    """Rows at known places of an axis, each at most once."""
+    """Rows at static places of an axis, each at most once."""
     places = np.asarray(places, int)
     runs = np.split(places, np.flatnonzero(np.diff(places) != 1) + 1)
     if len(runs) > MOST_RUNS or not places.size:

@@ -65,7 +65,7 @@ class Energies(NamedTuple):
 
 @runtime_checkable
 class Placed(Protocol):
-    """Of an instant: motion, closure, and what force elements exert."""
+    """Motion, closure and forces of the elements at an instant."""
 
     @property
     def motion(self) -> Motion: ...
@@ -77,7 +77,7 @@ class Placed(Protocol):
 
 @runtime_checkable
 class Solved(Placed, Protocol):
-    """Of the solution of one instant, or of a mechanism at rest: its multipliers [N] and forces of laws, too."""
+    """Solution of one instant, or of a mechanism at rest: `Placed` with the multipliers [N] and the forces of laws."""
 
     @property
     def multipliers(self) -> Float[Array, " constraints"]: ...
@@ -200,8 +200,8 @@ def _hinge_frame_loads(
 
 
 def contact_loads(topology: Topology, result: Placed) -> JointLoads:
-    """What contacts contribute to the loads of joints with clearance: forces, and moments about the child's point, zero
-    at all other joints."""
+    """Part of the contacts in the loads of joints with clearance: forces, and moments about the child's point; zero at
+    all other joints."""
     joints, n = len(topology.joints), topology.n_links
     found = [jnp.zeros((3, joints)), jnp.zeros((3, joints))]
     for j in topology.clearances:
@@ -219,7 +219,7 @@ def contact_loads(topology: Topology, result: Placed) -> JointLoads:
 
 
 def _with_cut_forces(topology: Topology, joint: JointLoads, at_cuts: CutForces | None) -> JointLoads:
-    """Loads with the forces in cut joints, which are in the axes of L as they are."""
+    """Loads with the forces in cut joints, which are already in the axes of L."""
     parts = [*joint]
     for (at, component), value in (at_cuts or {}).items():
         here = np.zeros(joint.force.shape, bool)
@@ -299,7 +299,7 @@ def cut_wrenches(
 
 
 def _rows(topology: Topology) -> list[slice]:
-    """Where the multipliers of every cut joint are."""
+    """Rows of the multipliers of every cut joint."""
     return [slice(rows.start, rows.stop) for rows in topology.constraints]
 
 
@@ -326,7 +326,8 @@ def inertial_loads(
 def loads_beyond_elements(
     inertial: tuple[Float[Array, "3 nodes"], Float[Array, "3 nodes"]], at_nodes: FrameLoads | None
 ) -> tuple[Float[Array, "3 nodes"], Float[Array, "3 nodes"]]:
-    """What `inertial_loads` leave for joints and springs of links to exert, beyond the force elements."""
+    """Inertial loads of the nodes without the part that force elements exert: joints and the springs of links carry
+    it."""
     if at_nodes is None:
         return inertial
     return inertial[0] - at_nodes.force, inertial[1] - at_nodes.moment

@@ -30,8 +30,8 @@ SAME_PLACE = 1e-9  # of the link's length
 
 
 class SectionLoads(NamedTuple):
-    """Of all sections of a link: place x (sections,) [m] along it, and (N, Q_y, Q_z) [N], (T, M_y, M_z) [N m]
-    (6, sections) in the axes of the section."""
+    """Internal loads at all sections of a link: place x (sections,) [m] along it, and (N, Q_y, Q_z) [N], (T, M_y, M_z)
+    [N m] (6, sections) in the axes of the section."""
 
     place: Float[Array, " sections"]
     resultants: Float[Array, "6 sections"]
@@ -39,8 +39,8 @@ class SectionLoads(NamedTuple):
 
 @runtime_checkable
 class Moving(Protocol):
-    """Of one instant: motion, accelerations (3, nodes) of the nodes in link axes, wrenches of all joints at the global
-    origin, and what force elements exert."""
+    """A mechanism at one instant: motion, accelerations (3, nodes) of the nodes in link axes, wrenches of all joints at
+    the global origin, and forces of the elements."""
 
     @property
     def motion(self) -> Motion: ...
@@ -69,7 +69,7 @@ class _Bodies(NamedTuple):
 
 
 class _Attachment(NamedTuple):
-    """What acts on a rfe: its number in the link, place x [m] along its axis, wrench (6,) at the global origin."""
+    """A load on a rfe: number of the rfe in the link, place x [m] along its axis, wrench (6,) at the global origin."""
 
     rfe: int
     x: Float[Array, ""]

@@ -537,7 +537,7 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
 
 
 def _with_least_reactions(actual: ModelWithErrors, evaluation: Evaluation) -> Evaluation:
-    """The evaluation with the least of redundant reactions, which Newton's method leaves as they are."""
+    """The evaluation with the smallest redundant reactions; Newton's method leaves them as they were."""
     evaluation, wrenches = loads.with_least_reactions(actual, evaluation, evaluation.wrenches)
     return evaluation._replace(wrenches=wrenches)
 

@@ -73,7 +73,7 @@ class Memory(NamedTuple):
 
 
 class StepStart(NamedTuple):
-    """What a step starts from, and is differentiated by."""
+    """State and memory at the start of a step; a step is differentiated with respect to them."""
 
     conditions: Conditions
     trajectory: Trajectory
@@ -90,7 +90,7 @@ class StepConstants(NamedTuple):
 
 
 class StepEnd(NamedTuple):
-    """What a step returns."""
+    """Results of a step."""
 
     trajectory: Trajectory
     memory: Memory
@@ -102,7 +102,7 @@ class ImplicitMethod(Protocol):
 
     @property
     def tangent_increments(self) -> int:
-        """Number of Newton increments by which the derivative of the unknowns is found."""
+        """Number of Newton increments that solve for the derivative of the unknowns."""
         ...
 
     def iteration_matrix(
@@ -205,7 +205,7 @@ _solution.defjvp(_differentiate_solution, symbolic_zeros=True)
 
 @functools.partial(jax.jit, static_argnums=0)
 def _end_and_tangent(method, matrix, constants, solution, inputs, fixed, along):
-    """The end of a step whose unknowns are known, and its derivative along a tangent of the active inputs."""
+    """End of a solved step, and its derivative along a tangent of the active inputs."""
 
     def at(unknowns, inputs):
         evaluation, end = method.evaluate(unknowns, constants, eqx.combine(inputs, fixed))
