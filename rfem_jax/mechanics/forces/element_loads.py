@@ -22,8 +22,8 @@ from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 
 class Exerted(NamedTuple):
-    """What an element exerts: force [N] and moment [N m] (3,) on the child at its point, in global axes; place and
-    parent_place (3,) [m]: of both points."""
+    """Load of an element on its child: force [N] and moment [N m] (3,) at the child's point, in global axes; place and
+    parent_place (3,) [m]: both points."""
 
     force: Float[Array, "3"]
     moment: Float[Array, "3"]
@@ -164,7 +164,8 @@ def _placed(topology: Topology, motion: Motion, element: FrameForce) -> tuple[_E
 def _node_load(
     topology: Topology, motion: Motion, node: int, force: Array, moment: Array, place: Array
 ) -> tuple[Array, Array]:
-    """Force and moment at a node's reference point in the axes of its link, of ones at a place in global axes."""
+    """Force and moment at a node's reference point in the axes of its link, equivalent to those at a place in global
+    axes."""
     n = topology.n_links
     link = motion.links.rotation[:, :, topology.link_of(node)]
     interfaces = motion.interfaces.point

@@ -124,8 +124,9 @@ def rate_about_axis(topology: Topology, state: State, k: int) -> Float[Array, ""
 def loads_about_parent_axes(
     topology: Topology, position: Coordinates, hinge: Float[Array, " freedoms"]
 ) -> Float[Array, " freedoms"]:
-    """Loads along the joint coordinates with those of the second axes of sprung tilts taken across the parents' axes,
-    so that what holds an angle is a moment about the parent's axis and none of its tilt (theory (13.5))."""
+    """Loads along the joint coordinates, with those of the second axes of sprung tilts resolved about the parents'
+    axes, so that a moment that holds an angle is one about the parent's axis, without a part of its tilt (theory
+    (13.5))."""
     for k in range(topology.n_freedoms if topology.sprung else 0):
         if (tilted := topology.tilted(k)) is not None:
             place, second = tilted
@@ -135,7 +136,7 @@ def loads_about_parent_axes(
 
 
 def by_coordinate(topology: Topology, forces: dict[int, Float[Array, ""]]) -> Float[Array, " freedoms"]:
-    """Forces, of which there is at least one, of all joint coordinates, zero where none acts."""
+    """Array of forces by joint coordinate, zero for coordinates without a force; `forces` has at least one."""
     rows = np.arange(topology.n_freedoms)
     return reduce(jnp.add, [jnp.where(rows == k, force[None], 0.0) for k, force in forces.items()])
 

@@ -82,8 +82,8 @@ class Constraints(eqx.Module):
 
 
 class SpringMultipliers(NamedTuple):
-    """Of the springs of compliant cut joints: their multipliers [N], zero in all other equations; the power [W] that
-    their dampers dissipate."""
+    """Multipliers [N] of the springs of compliant cut joints, zero in all other equations, and the power [W] that their
+    dampers dissipate."""
 
     multipliers: Float[Array, " constraints"]
     dissipated: Float[Array, ""]
@@ -238,7 +238,7 @@ def _scattered(parts: dict[int, Array], size: int) -> Float[Array, " constraints
 
 
 def _spring_multipliers(actual: ModelWithErrors, cuts: Closure, scale: Scalar) -> SpringMultipliers:
-    """What the springs of compliant cut joints exert (theory (13.6), (13.7))."""
+    """Forces of the springs of compliant cut joints (theory (13.6), (13.7))."""
     residual, rate = cuts.residual, cuts.rate
     found, dissipated = {}, jnp.zeros(())
     for spring in cut_springs(actual):

@@ -132,5 +132,6 @@ def law_derivatives(
 
 
 def holds(law: JointLaw) -> bool:
-    """Whether a force may depend on the position: all but a damper without a spring; of numbers that are known."""
+    """Whether a force may depend on the position, as every law may but a damper without a spring; the law's numbers
+    must be concrete."""
     return not isinstance(law, SpringLaw) or float(law.stiffness) > 0.0

@@ -136,7 +136,7 @@ class TimeVector(eqx.Module):
 
 
 class ConstantVector(TimeVector):
-    """The same at all times."""
+    """A vector that is the same at all times."""
 
     values: Float[Array, "3"]
     times: tuple[float, ...] = eqx.field(static=True, default=())

@@ -46,8 +46,8 @@ def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = Fa
 
 
 class PartStructure(NamedTuple):
-    """What of a mechanism does not change with its numbers: topology; points: nodes of the ends of the forces at
-    points, by their names; products: whether point masses may have products of inertia."""
+    """The part of a mechanism that does not change with its numbers: topology; points: nodes of the ends of the forces
+    at points, by their names; products: whether point masses may have products of inertia."""
 
     topology: Topology
     points: ForceNodes
@@ -55,7 +55,7 @@ class PartStructure(NamedTuple):
 
 
 def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], exact: bool) -> PartStructure:
-    """Which rigid bodies there are and what is on each."""
+    """Topology of the parts: the rigid bodies, and the joints, masses and forces on each."""
     links = [mechanism.link(joint.child) for joint in mechanism.tree_joints]
     discretised = _Links(tuple(links), tuple(elements[link.name] for link in links))
     tree = {joint.child: joint for joint in parts.joints if not joint.cut}
@@ -90,7 +90,7 @@ def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], 
 
 
 def arrays_of(parts: Parts, structure: PartStructure) -> Model:
-    """The arrays of parts whose numbers may be traced, in a structure that was found with other numbers."""
+    """Arrays of parts whose numbers may be traced; the structure may come from other numbers."""
     topology, points, products = structure
     links = [parts.link(name) for name in topology.links]
     joints = [parts.joint(name) for name in topology.joints]
@@ -326,7 +326,8 @@ def _start(joint: Joint, kind: JointKind) -> list[Number]:
 
 
 def _start_rates(joints: Sequence[Joint], topology: Topology) -> Array | None:
-    """Initial rates of the coordinates of the tree joints, zero where none is given; None if nowhere."""
+    """Initial rates of the coordinates of the tree joints, zero where none is given; None for a mechanism without
+    initial rates."""
     if all(rate is None for joint in joints for rate in joint.start_rates):
         return None
     values: list[Number] = [0.0] * topology.n_freedoms
@@ -360,7 +361,7 @@ def _array(values: Sequence[Number]) -> Array:
 
 
 def _edge(link: Link) -> Array | None:
-    """Stresses at the edge of a link's section per unit of its loads; None where the edge is not known."""
+    """Stresses at the edge of a link's section per unit of its loads; None if the section does not give its edge."""
     points = () if link.section is None else link.section.edge_stresses()
     return jnp.asarray(array_of([list(point) for point in points]).T, jnp.float64) if points else None
 

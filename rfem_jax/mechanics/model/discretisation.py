@@ -126,8 +126,8 @@ def _with_idle(model: Model) -> Model:
 
 
 def _closed_as_given(model: Model, given: Float[np.ndarray, " numbers"]) -> Model:
-    """The closed model, closed once more from the start that the description gives, with the coordinates that stand for
-    freedoms that no drive holds as they are there, if the loops close so as well."""
+    """The closed model, closed once more from the start that the description gives: coordinates that stand for freedoms
+    without a drive keep their values, if the loops close so as well."""
     if model.topology.n_cuts == 0:
         return model
     topology = with_start_freedoms(_with_idle(model), {})
@@ -217,7 +217,7 @@ def describe(model: Model) -> Structure:
 
 
 def start_held(topology: Topology) -> StartHeld:
-    """What the start of a simulation holds."""
+    """Kind of the start of a simulation, and the coordinates that it holds."""
     undriven = () if topology.settles else topology.undriven
     named = (tuple(map(topology.label_of, some)) for some in (topology.held, undriven, topology.rated))
     return StartHeld(EQUILIBRIUM if topology.settles else AS_GIVEN, *named)

@@ -62,7 +62,7 @@ class Blueprint:
 
     @cached_property
     def key(self) -> str:
-        """Of its content; of itself where that is not known, because it holds a function of the user."""
+        """Key of equal content; the blueprint itself if it holds a function of the user, whose content is unknown."""
         content = self.parts, self.names.all, self.points, self.products, self.closing_tolerance
         try:
             return keys.digest_value(content)

@@ -73,14 +73,14 @@ def _motions(model: Model) -> Float[np.ndarray, "freedoms motions"]:
 
 
 def _own(topology: Topology) -> Bool[np.ndarray, " freedoms"]:
-    """Which coordinates are no springs."""
+    """For every coordinate whether it is a joint's own, and not that of a spring."""
     found = np.ones(topology.n_freedoms, dtype=bool)
     found[list(topology.sprung_coordinates)] = False
     return found
 
 
 def _hold_coordinate(motions: Float[np.ndarray, "freedoms motions"], k: int) -> Float[np.ndarray, "freedoms motions"]:
-    """What is left of motions with a coordinate held."""
+    """Motions that remain possible when a coordinate is held."""
     size = np.linalg.norm(motions[k])
     if not size > 0.0:
         return motions

@@ -92,7 +92,7 @@ def assembly_errors(model: Model, values: Mapping[str, ArrayLike | str] | None =
 
 
 def sum_of(errors: AssemblyErrors, more: AssemblyErrors) -> AssemblyErrors:
-    """Both errors together, any parameter of which may deviate in one of them alone."""
+    """Sum of two sets of errors; a parameter may deviate in one of them alone."""
     first, second = errors.parameters or {}, more.parameters or {}
     both = {
         name: first.get(name, 0.0) + second.get(name, 0.0) for name in (*first, *(n for n in second if n not in first))
@@ -177,8 +177,8 @@ class ModelWithErrors(eqx.Module):
 
 
 def require_possible(model: Model, errors: AssemblyErrors) -> None:
-    """Raise InputError for errors of which a link would have no length, or that turn anything by more than half a turn,
-    where they are concrete numbers; a traced one has a status."""
+    """Raise InputError for errors that leave a link no length, or that turn anything by more than half a turn, if they
+    are concrete numbers; traced errors have a status instead."""
     topology = model.topology
     leaves = model.length, errors.length, errors.seat, errors.bore, errors.pin, errors.twist
     if any(isinstance(leaf, Tracer) for leaf in leaves):
@@ -310,8 +310,8 @@ def _start_angles(model: Model) -> Float[Array, " joints"]:
 
 
 def with_structural_zeros(actual: ModelWithErrors) -> ModelWithErrors:
-    """The same constants; entries that are zero for all numbers and errors are constants of the program, in which a
-    kernel leaves out what is multiplied by them.
+    """The constants with entries that are zero for all numbers and errors as constants of the program: a kernel leaves
+    out the products with them.
 
     A segment's centre of mass lies on its axis and its inertia is diagonal, unless it has a point mass.
     """

@@ -260,7 +260,7 @@ def _spring_force(actual: ModelWithErrors, state: State, qd: Array, unravel: Cal
 
 
 def _pull(spring: CompliantSpring, stretch: Array) -> Array:
-    """What displaces a spring by a vector, or in one direction by a number of either sign."""
+    """Force that displaces a spring by a vector, or in one direction by a number of either sign."""
     size = stretch[0] if stretch.size == 1 else jnp.linalg.norm(stretch)
     x, f = spring.positions, spring.forces
     if x is None or f is None:

@@ -109,7 +109,7 @@ def _scalar(value: Any, read: Any, where: str) -> Float[Array, ""]:
 
 
 def source_in(model: Model) -> Source:
-    """The numbers that a model was made of; raises InputError if it has none."""
+    """The numbers from which a model was made; raises InputError for a model without them."""
     if model.source is None:
         raise InputError(
             "Argument `model` must know the numbers of its description, but has lost them; take the model that "
@@ -200,9 +200,9 @@ def _require_possible(
 
 
 class Plan(NamedTuple):
-    """What changes with some parameters: which leaves of a model, start values of the joints among them; closes:
-    whether loops are to be closed; arms: whether points may leave their rfes; products: whether bodies have products of
-    inertia."""
+    """The part of a model that changes with some parameters: leaves that change, start values of the joints among them;
+    closes: whether loops are to be closed; arms: whether points may leave their rfes; products: whether bodies have
+    products of inertia."""
 
     changes: tuple[bool, ...]
     closes: bool
@@ -212,7 +212,7 @@ class Plan(NamedTuple):
 
 @lru_cache(maxsize=256)
 def _plan_of(blueprint: Blueprint, topology: Topology, names: tuple[str, ...]) -> Plan:
-    """What changes with the parameters of full names: what is not a number where these are none."""
+    """Arrays that depend on these parameters, found by evaluating the model with NaN in their place."""
     parts = [name.split(".") for name in names]
     turned = any(p[0] == "link" and (p[2] == "orientation" or (p[2] == "inertia" and len(p[3]) == 2)) for p in parts)
     structure = PartStructure(topology, blueprint.points, blueprint.products or turned)

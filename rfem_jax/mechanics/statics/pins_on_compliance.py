@@ -89,7 +89,7 @@ def holding(pins: list[PinInBush], units: Units) -> Float[Array, " k"]:
 
 
 def pin_wrenches(pins: list[PinInBush], poses: list[Pose], units: Units) -> Float[Array, " k"]:
-    """What pins at rest exert, scaled; friction is zero."""
+    """Scaled wrenches that pins at rest exert, without friction."""
     without = [dataclasses.replace(pin, friction=None) for pin in pins]
     return jnp.concatenate([units.scaled(pin.wrench(at, START)) for pin, at in zip(without, poses, strict=True)])
 
@@ -117,7 +117,7 @@ def pins_at_rest(
     before, stiffness = pin_wrenches(pins, poses, units), holding(pins, units)
 
     def excess(wrenches):
-        """What wrenches exceed those of the pins that they lead to."""
+        """Difference between wrenches and those of the pins at the poses that they lead to."""
         change = free + compliance @ wrenches
         return wrenches - pin_wrenches(pins, _moved(poses, change, units), units) + before - stiffness * change
 
