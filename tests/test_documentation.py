@@ -65,6 +65,15 @@ def test_relative_links_resolve(path):
         assert not heading or heading in anchors(target), f"{path} links to {link}, which is no heading there"
 
 
+def test_files_that_the_map_of_the_house_names_exist():
+    """In CONTRIBUTING, from the root or from the package."""
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    named = re.findall(r"`((?:\w+/)+\w+(?:\.\w+)?)`", text)
+    assert len(named) > 30
+    missing = [name for name in named if not any((folder / name).exists() for folder in (ROOT, ROOT / "rfem_jax"))]
+    assert not missing
+
+
 def test_the_index_of_the_theory_leads_to_every_chapter_and_every_picture_is_shown():
     assert len(CHAPTERS) == 15 and PICTURES
     index = LINK.findall((THEORY / "README.md").read_text(encoding="utf-8"))

@@ -44,8 +44,8 @@ def chosen_tables(word: str | None = None) -> list[KeyTable]:
     chosen = [table for table in tables if word is None or word in table.header]
     if not chosen:
         raise InputError(
-            f"Argument `WORD` must be in the header of a table or the name of a metric, but `{word}` is in none; "
-            f"{suggestion(word, [METRICS, *(table.header for table in tables)])}"
+            f"Argument `WORD` must be in the header of a table or the name of a metric, but `{word}` is in none of "
+            f"them; {suggestion(word, [METRICS, *(table.header for table in tables)])}"
         )
     return chosen
 

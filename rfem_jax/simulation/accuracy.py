@@ -205,10 +205,8 @@ def _explicit_step(model, method: Method, drive, duration, accuracy, errors) -> 
 
 
 def _longer(error: float, error_of_twice: float | None, accuracy: float) -> float:
-    """How many times as long as a step with an `error` below the accuracy a step may be; at most twice.
-
-    Between the two steps the error grows by their order, where that is above the method's: vibrations become resolved.
-    """
+    """Factor by which a step may be longer than one whose `error` is below the accuracy; at most two. Between the two
+    steps the error grows by the order that was observed, if that is above the method's: vibrations become resolved."""
     error = max(error, 1e-300)
     order = 2.0 if error_of_twice is None else max(2.0, float(np.log2(max(error_of_twice, error) / error)))
     return min((accuracy / error) ** (1.0 / order), 2.0)

@@ -109,9 +109,9 @@ def force_scale(
     duration: Float[Array, ""],
     shortest: Float[Array, ""],
 ) -> Float[Array, ""]:
-    """What a residual force is compared with [N]: the largest joint force, and for free links, whose joints carry
-    none, their kinetic energy over the longest link; friction may be the only load, an RMS moment over that link; where
-    nothing acts, joints carry what rounding amounts to in the `shortest` step [s]."""
+    """Force [N] with which residual forces are compared: the largest joint force. It is at least the largest RMS moment
+    over the longest link with friction, which may be the only load; the kinetic energy over that link with free links,
+    whose joints carry no load; and the effect of rounding in the `shortest` step [s]."""
     largest = largest_force(carry)
     if model.friction is not None:
         mean_square = jnp.max(carry.trajectory.integrals.moment_square) / duration

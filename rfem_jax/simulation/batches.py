@@ -4,7 +4,7 @@ Place in the pipeline: **batches** -> implicit_step, stepping, integration.
 
 `jax.vmap` of a `jax.custom_jvp` function takes the batch axes of the function's results to be those of its rule
 (jax issue 16374).  It derives the two separately: a result that does not depend on the sample may have a batch axis
-in one and none in the other.  `like_batched`, applied in both, gives all results the same axes.
+in one and none in the other.  `with_batch_axes`, applied in both, gives all results the same axes.
 
 JAX transforms a loop again and again until it knows which of the arrays that go around in it have a batch axis, and
 which a tangent.  Where all have them from the start, once is enough, also for the loops inside.
@@ -19,7 +19,7 @@ from jaxtyping import Array
 Tree = TypeVar("Tree")
 
 
-def like_batched(tree: Tree, *sources: Array, differentiated: bool = False) -> Tree:
+def with_batch_axes(tree: Tree, *sources: Array, differentiated: bool = False) -> Tree:
     """The tree, with the batch axes of any of the sources added to every array.
 
     Values and derivatives are unchanged: the selection below has a constant condition, which XLA folds away.

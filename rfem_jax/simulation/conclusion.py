@@ -27,9 +27,9 @@ from rfem_jax.simulation.stepping import Carry
 
 
 class LoadSummary(NamedTuple):
-    """Of all joints over the whole duration: mean squares of the resultant force [N^2] and moment [(N m)^2], their RMS
-    values, and maxima of the axial, the normal and the resultant force [N] (the first two NaN without an axis) and of
-    the resultant moment [N m]."""
+    """Loads of all joints over the whole duration: mean squares of the resultant force [N^2] and moment [(N m)^2],
+    their RMS values, and maxima of the axial, the normal and the resultant force [N] (the first two NaN without an
+    axis) and of the resultant moment [N m]."""
 
     mean_squares: Float[Numbers, "2 joints"]
     rms: Float[Numbers, "2 joints"]
@@ -82,13 +82,13 @@ def run_of(model: Model, conclusion: Conclusion) -> Run:
     if any(isinstance(x, Tracer) for x in leaves):
         return _compiled(model, conclusion)
     # NumPy's slices are views; each of JAX's would be a program of its own.
-    run = _by_name(model, jax.tree.map(np.asarray, conclusion))
+    run = _named_results(model, jax.tree.map(np.asarray, conclusion))
     if all(isinstance(x, np.ndarray) for x in leaves):
         return jax.tree.map(np.asarray, run)  # with names in the order in which JAX returns them
     return jax.device_put(run)
 
 
-def _by_name(model: Model, conclusion: Conclusion) -> Run:
+def _named_results(model: Model, conclusion: Conclusion) -> Run:
     times, record, topology = conclusion.times, conclusion.record, model.topology
     drives = _histories(model, record)
     nothing = DriveHistory(0.0 * times, 0.0 * times, record.drive_forces[0])
@@ -115,27 +115,31 @@ def _by_name(model: Model, conclusion: Conclusion) -> Run:
         ends={name: record.ends[..., l] for l, name in enumerate(model.link_names)},
         forces=record.forces,
         contacts=record.contacts,
-        contact_losses=_by_clearance(model, record.contact_losses),
+        contact_losses=_clearance_histories(model, record.contact_losses),
         contact_changes=conclusion.contact_changes,
         branch={topology.joints[j]: record.branch[..., i] for i, j in enumerate(topology.cuts)},
-        integrals=LoadIntegrals(*(_by_joint(model, record.square_integrals[..., kind, :]) for kind in range(2))),
+        integrals=LoadIntegrals(*(_joint_values(model, record.square_integrals[..., kind, :]) for kind in range(2))),
         centre_lines=dict(conclusion.centre_lines),
         nominal_lines=dict(conclusion.nominal_lines),
-        friction_losses=_by_friction(model, record.friction_losses),
+        friction_losses=_friction_histories(model, record.friction_losses),
         recorded=conclusion.recorded,
         positions=conclusion.positions,
         **conclusion.checks,
     )
 
 
-_compiled = eqx.filter_jit(_by_name)
+_compiled = eqx.filter_jit(_named_results)
 
 
 def _metrics(model: Model, summary: LoadSummary) -> Metrics:
-    force, moment = (_by_joint(model, summary.mean_squares[..., kind, :]) for kind in range(2))
-    rms_force, rms_moment = (_by_joint(model, summary.rms[..., kind, :]) for kind in range(2))
+    force, moment = (_joint_values(model, summary.mean_squares[..., kind, :]) for kind in range(2))
+    rms_force, rms_moment = (_joint_values(model, summary.rms[..., kind, :]) for kind in range(2))
     return Metrics(
-        force, moment, rms_force, rms_moment, *(_by_joint(model, summary.highest[..., kind, :]) for kind in range(4))
+        force,
+        moment,
+        rms_force,
+        rms_moment,
+        *(_joint_values(model, summary.highest[..., kind, :]) for kind in range(4)),
     )
 
 
@@ -161,14 +165,16 @@ def _histories(model: Model, record: Record) -> dict[str, DriveHistory]:
     return found
 
 
-def _by_friction(model: Model, values: Float[Numbers, "times frictions"] | None) -> dict[str, Float[Numbers, " times"]]:
+def _friction_histories(
+    model: Model, values: Float[Numbers, "times frictions"] | None
+) -> dict[str, Float[Numbers, " times"]]:
     """Histories by the names of the frictions."""
     if values is None:
         return {}
     return {name: values[..., i] for i, name in enumerate(sorted(model.friction or {}))}
 
 
-def _by_clearance(
+def _clearance_histories(
     model: Model, values: Float[Numbers, "times clearances"] | None
 ) -> dict[str, Float[Numbers, " times"]]:
     """Histories by the names of the joints with clearance."""
@@ -177,7 +183,7 @@ def _by_clearance(
     return {model.topology.joints[j]: values[..., i] for i, j in enumerate(model.topology.clearances)}
 
 
-def _by_joint(model: Model, values: Float[Numbers, "*axes joints"]) -> dict[str, Float[Numbers, "*axes"]]:
+def _joint_values(model: Model, values: Float[Numbers, "*axes joints"]) -> dict[str, Float[Numbers, "*axes"]]:
     return {name: values[..., j] for name, j in zip(model.joint_names, joint_places(model))}
 
 

@@ -160,7 +160,8 @@ def _with_period(model: Model, drive: PrescribedRate, design: Design | None) -> 
 
 
 def _require_sensible(simulation: Simulation, tolerance: float, most: int) -> None:
-    """Raise InputError for a start of one's own, which a cycle has not, and for numbers that end no search."""
+    """Raise InputError for a simulation with a start (a cycle finds its own), and for a tolerance or a number of
+    revolutions with which no search ends."""
     if simulation.start is not None:
         raise InputError(
             "Argument `start` of a cycle's simulation must be left out, but is a State; a cycle finds its own start."
@@ -172,7 +173,7 @@ def _require_sensible(simulation: Simulation, tolerance: float, most: int) -> No
 
 
 def require_constant_rate(model: Model, drive: Drive) -> PrescribedRate:
-    """The drive; raises InputError where it, or the model, has no cycle that is found here."""
+    """The drive. Raises InputError for a drive or a model without a cycle that can be found here."""
     if not isinstance(drive, PrescribedRate) or drive.rise_time > 0.0:
         raise InputError(
             f"Argument `drive` of a cycle must be a PrescribedRate without a rise time, but is {drive!r}; give the "

@@ -140,13 +140,13 @@ def require_driven(model: Model, drive: Drive) -> None:
         coordinate = model.topology.drives[model.topology.drive_labels.index(label)]
         if isinstance(one, PrescribedDrive) and model.topology.tilted(coordinate) is not None:
             raise InputError(
-                f"Argument `drive` must not prescribe the angle of joint `{one.joint}` because its tilt is sprung "
-                "or has play, but does; leave its tilt rigid, drive another joint, or give a moment."
+                "Argument `drive` must not prescribe the angle of a joint whose tilt is sprung or has play, but "
+                f"prescribes that of `{one.joint}`; leave its tilt rigid, drive another joint, or give a moment."
             )
         if isinstance(one, PrescribedDrive) and coordinate in model.topology.rated:
             raise InputError(
-                f"Argument `drive` must not prescribe a motion with an initial rate, but does that of `{label}`, whose "
-                "rate it sets; leave out the rate of the joint."
+                f"Argument `drive` must not prescribe a motion with an initial rate, but prescribes that of `{label}`; "
+                "leave out the rate of the joint, which the drive sets."
             )
     _require_independent(model.topology, drives)
 
@@ -202,7 +202,7 @@ def _require_joint(model: Model, drive: AnyDrive) -> None:
 
 def _other_joint(model: Model, drive: AnyDrive, labels: Sequence[str]) -> InputError:
     known = [f"`{label}`" for label in model.topology.drive_labels]
-    found = "the model has none" if not known else f"that is {' and '.join(known)}"
+    found = "no joint of the model is driven" if not known else f"that is {' and '.join(known)}"
     wanted = labels[0] if len(labels) == 1 else list(labels)
     return InputError(
         f"Argument `drive` must act on the model's driven joint, but acts on `{drive.joint}` and {found}; the model is "

@@ -117,7 +117,8 @@ def squares(
 
 @runtime_checkable
 class Along(Protocol):
-    """Of a solved instant: motion, forces of springs and laws along joint coordinates, and of elements on nodes."""
+    """Motion at a solved instant, with the forces of springs and laws along joint coordinates, and of elements on
+    nodes."""
 
     @property
     def motion(self) -> Motion: ...
@@ -142,8 +143,8 @@ def applied_power(
 def drive_forces(
     topology: Topology, drive: DriveInput, joint: loads.JointLoads, solved: Along
 ) -> tuple[Float[Array, ""], ...]:
-    """Moments [N m] and forces [N] of the drives on the driven coordinates (one zero where none is driven): given, or
-    what enforces the motion, which is what springs leave of the joint's load."""
+    """Moments [N m] and forces [N] of the drives on the driven coordinates, one zero if no coordinate is driven. A
+    force that enforces a prescribed motion is the joint's load without the part of its springs."""
 
     def force(k: int) -> Float[Array, ""]:
         if k in drive.forces:

@@ -41,7 +41,7 @@ from rfem_jax.mechanics.statics.assembly import held_angles, moving_equilibrium,
 from rfem_jax.mechanics.statics.designs import Design, designed, with_status
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.balances import checks_of
-from rfem_jax.simulation.batches import like_batched
+from rfem_jax.simulation.batches import with_batch_axes
 from rfem_jax.simulation.conclusion import Conclusion, ball_angles, load_summary, run_of
 from rfem_jax.simulation.driving import active_drives, all_jumps, all_step_ends, drive_of_design
 from rfem_jax.simulation.equations import Conditions, Trajectory
@@ -83,8 +83,8 @@ def simulate_steps(
     record: str | Iterable[str] = (),
     design: Design | None = None,
 ) -> Run:
-    """As `simulate` of these, over a grid of `grid_for` whose number of steps in an interval may be traced (see
-    `time_grid.of_any_step`)."""
+    """Simulate over a grid made by `grid_for`. Arguments as of `simulate`; the number of steps in an interval may be
+    traced (see `time_grid.of_any_step`)."""
     drive = drive if design is None else drive_of_design(model, drive, design)
     made = designed(model, design, errors)
     asked = require_records(made.model, record)
@@ -105,7 +105,7 @@ def grid_for(
     """
     if method.step is None and not method.adaptive:
         raise InputError(
-            f"Argument `method` must have a step or tolerances here, but {method.name!r} has none; "
+            f"Argument `method` must have a step or tolerances here, but {method.name!r} has neither; "
             "replace it by `choose_method(model, method, drive, duration)`, which chooses the step."
         )
     rows = all_step_ends(drive, model, longest_interval(duration, method.step, save_every))
@@ -170,8 +170,8 @@ def start_carry(model: Model, prepared: Prepared, drive: Drive, method: Method) 
     peaks, memory = jnp.zeros((4, joints)), observed_solver(method).start(conditions, trajectory)
     # The batch axes of all that goes around, and tangents of all that a step gives tangents to.
     sources = [x for x in jax.tree.leaves(prepared.state) if x.size]
-    exhausted, last_step = like_batched((jnp.zeros((), bool), jnp.asarray(1e-7)), *sources)
-    trajectory, peaks, memory = like_batched((trajectory, peaks, memory), *sources, differentiated=True)
+    exhausted, last_step = with_batch_axes((jnp.zeros((), bool), jnp.asarray(1e-7)), *sources)
+    trajectory, peaks, memory = with_batch_axes((trajectory, peaks, memory), *sources, differentiated=True)
     return Carry(trajectory, peaks, exhausted, last_step, memory)
 
 

@@ -238,7 +238,7 @@ def _add_lines(variables, coordinates, run, before) -> None:
 
 
 def joint_rows(run: Run, case: str | None = None) -> list[dict[str, Any]]:
-    """A row per joint of one run: its metrics and preload, named with their units."""
+    """Metrics and preload of one run, a row per joint; names end in their units."""
     rows = []
     for joint in run.loads:
         row: dict[str, Any] = {} if case is None else {"case": case}
@@ -271,7 +271,7 @@ SHOWN = ("rms_force", "rms_moment", "max_force", "max_moment", "max_axial_force"
 
 
 def run_html(run: Run) -> str:
-    """Status, loads and balances of one run; a batch says its size."""
+    """Status, loads and balances of one run, or the size of a batch."""
     if np.ndim(run.status) != 0:
         return rich_text.document("Run", rich_text.paragraph(run.summary()))
     rows = [[joint, *(float(getattr(run.metrics, name)[joint]) for name in SHOWN)] for joint in run.loads]

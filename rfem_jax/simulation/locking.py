@@ -34,8 +34,8 @@ FAILED_IN_MOTION = (DIVERGED, DRIFTED, NOT_CONVERGED, STEPS_EXHAUSTED, OUT_OF_RA
 
 
 class DriveLimit(NamedTuple):
-    """Where the loops stop closing: time [s]; joint or joint and motion of the first prescribed coordinate, "A" or
-    "C.T_y", whether it is a displacement, its position there and its start [rad, m]."""
+    """The instant at which the loops stop closing: its time [s]; the first prescribed coordinate by joint, or joint and
+    motion, "A" or "C.T_y"; whether it is a displacement; its position then and at the start [rad, m]."""
 
     time: float
     label: str
@@ -56,15 +56,15 @@ class DriveLimit(NamedTuple):
 
 
 def drive_limit(model: Model, drive: Drive, duration: float) -> DriveLimit | None:
-    """Where the loops of the perfect mechanism stop closing while its drives prescribe their motions for a duration
-    [s]; None if nowhere, or nothing is prescribed."""
+    """The instant at which the loops of the perfect mechanism stop closing while its drives prescribe their motions for
+    a duration [s]. None if the loops close throughout, or no motion is prescribed."""
     topology = model.topology
     if topology.n_cuts == 0 or drive is None:
         return None
     drives = active_drives(model, drive)
     if not drives.prescribed:
         return None
-    times, asked = _asked(model, drives, all_jumps(drive, model), duration)
+    times, asked = _prescribed_positions(model, drives, all_jumps(drive, model), duration)
     places = np.array([topology.place_of(k) for k in drives.prescribed])
     units = joint_units(geometry_of(model))[list(drives.prescribed)]
     turns = len(places) == 1 and not topology.slides[drives.prescribed[0]]
@@ -78,7 +78,7 @@ def drive_limit(model: Model, drive: Drive, duration: float) -> DriveLimit | Non
     return DriveLimit(time, topology.label_of(k), topology.slides[k], float(position[0]), start)
 
 
-def _asked(
+def _prescribed_positions(
     model: Model, drives: ActiveDrives, jumps: tuple[float, ...], duration: float
 ) -> tuple[Float[np.ndarray, " times"], Float[np.ndarray, "times prescribed"]]:
     """Times [s] and the positions [rad, m] that are asked for there."""
@@ -118,8 +118,9 @@ def _follow(
 
 
 def _worth(asked: Float[np.ndarray, "times prescribed"], units: Float[np.ndarray, " prescribed"], turns: bool):
-    """The times, by their indices, at which prescribed positions are new: of one motion those beyond all before, of
-    an angle (`turns`) within a revolution; none nearer to another than a step, but where a motion turns back."""
+    """Yield the indices of the times whose prescribed positions are worth a check: of a single motion those beyond all
+    earlier ones, of an angle (`turns`) within one revolution. They are about a step apart, except where a motion turns
+    back."""
     single, kept, poses = asked.shape[1] == 1, asked[0], 0
     farthest = {-1: asked[0, 0], 1: asked[0, 0]}
     for n in range(1, len(asked)):
@@ -194,11 +195,8 @@ def _closed(
 
 
 def with_limit(run: Run, model: Model, drive: Drive) -> Run:
-    """A run, or a batch of them, whose status is PAST_LIMIT where it failed in motion because the drive prescribes what
-    the loops do not let it.
-
-    Nothing is done within programs, where numbers are not known: there such runs have diverged.
-    """
+    """The run, or batch of runs, with the status PAST_LIMIT where it failed in motion because the loops do not let the
+    drive go on. Within a traced function numbers are unknown, and such runs keep the status "diverged"."""
     if isinstance(run.status, Tracer) or not np.isin(np.asarray(run.status), FAILED_IN_MOTION).any():
         return run
     status, times = np.asarray(run.status), np.asarray(run.times)

@@ -204,13 +204,14 @@ def observe(
 
 
 def energy_at(actual: ModelWithErrors, state: State, work: Float[Array, ""], dissipation: Float[Array, ""]) -> Energy:
-    """Energies [J] of one instant, from the integrals of the powers since the start; work up to a constant."""
-    tables = loads.known_work(actual, state)
+    """Energies [J] at one instant; the work follows from the integrals of the powers since the start, up to a
+    constant."""
+    tables = loads.table_work(actual, state)
     return Energy(*loads.energies(actual, state), work if tables is None else work + tables, dissipation)
 
 
 def _point_histories(topology: Topology, at_nodes: FrameLoads | None) -> dict[str, PointHistory]:
-    """What the force elements exert that are no contacts of joints, by their names."""
+    """Forces of the elements that are not contacts of joints, by their names."""
     exerted = {} if at_nodes is None else at_nodes.exerted
     contacts = {clearance_name(topology.joints[j]) for j in topology.clearances}
     return {name: PointHistory(*one) for name, one in exerted.items() if name not in contacts}
@@ -258,15 +259,15 @@ def cut_drift(cuts: Closure | None, scale: vectors.Scalar) -> tuple[Float[Array,
         return jnp.zeros(()), jnp.zeros(())
     distances, turns = [], []
     for group in cuts.groups:
-        of_centres, of_axes = _held_apart(group)
+        of_centres, of_axes = _rigid_constraint_violations(group)
         distances.append(equations.safe_sqrt(jnp.max(jnp.sum(of_centres**2, axis=0))))
         if of_axes.shape[0]:
             turns.append(jnp.max(jnp.abs(of_axes)) / scale)
     return _largest(distances), _largest(turns)
 
 
-def _held_apart(group: Constraints) -> tuple[Float[Array, "r n"], Float[Array, "s n"]]:
-    """Residuals [m] of the equations of centres and of axes, but those that are laws of springs."""
+def _rigid_constraint_violations(group: Constraints) -> tuple[Float[Array, "r n"], Float[Array, "s n"]]:
+    """Residuals [m] of the equations of centres and of axes, without the equations that are laws of springs."""
     r = group.n_centres
     if not any(group.sprung):
         return group.residual[:r], group.residual[r:]

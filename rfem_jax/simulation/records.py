@@ -48,7 +48,7 @@ class SectionHistory(eqx.Module):
         """Squares of the von Mises stress [Pa^2] of axial force, bending and torsion at points of the edge."""
         if self.edge is None:
             raise InputError(
-                "Argument `edge` of a section must be given for stresses, but is not; write `edge_y`, `edge_z`, "
+                "Argument `edge` of a section must be given for stresses, but is missing; write `edge_y`, `edge_z`, "
                 "`edge_modulus` and `torsion_modulus` into the section."
             )
         return stress_squares(jnp.asarray(self.edge), jnp.asarray(self.resultants))
@@ -60,7 +60,7 @@ class SectionHistory(eqx.Module):
 
 
 def require_records(model: Model, names: str | Iterable[str]) -> tuple[str, ...]:
-    """The names of records, each once. Raises InputError for one that the model has not."""
+    """The names of records, each once. Raises InputError for a record that the model does not have."""
     names = tuple(dict.fromkeys((names,) if isinstance(names, str) else names))
     for name in names:
         _require_record(model, name)
@@ -79,7 +79,9 @@ def _require_record(model: Model, name: str) -> None:
         return
     if not owner or kind not in known:
         every = [f"{(known[one] or ('A',))[0]}.{one}" for one in known] + [*OF_RUNS]
-        raise InputError(f"Argument `record` must name records, but {name!r} is none; {suggestion(name, every)}")
+        raise InputError(
+            f"Argument `record` must name records, but {name!r} is not a record; {suggestion(name, every)}"
+        )
     of = divided(owner)[0] if kind == "deflection" else owner
     if of not in known[kind]:
         special = {"bearing": "joints with a `bearing`", "friction_loss": "joints with friction"}
@@ -92,7 +94,7 @@ def _require_record(model: Model, name: str) -> None:
 def instant_records(
     model: Model, actual: ModelWithErrors, state: State, instant: Instant, names: Sequence[str]
 ) -> dict[str, Any]:
-    """The records of one instant."""
+    """Records of one instant, by their names."""
     found: dict[str, Any] = {}
     for name in names:
         owner, _, kind = name.rpartition(".")

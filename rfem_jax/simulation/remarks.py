@@ -14,7 +14,8 @@ BALANCE_LIMIT, REMARKABLE_BALANCE = 0.03, 0.01
 
 
 def linear_remark(error: float) -> str:
-    """What an estimated error of linear elements means, "" where it is small; NaN of a failed run is."""
+    """Sentence on the estimated error of linear elements; empty for a small error, and for NaN, which a failed run
+    has."""
     if not error > REMARKABLE_LINEAR_ERROR:
         return ""
     return (
@@ -24,7 +25,7 @@ def linear_remark(error: float) -> str:
 
 
 def balance_remark(error: float, what: str) -> str:
-    """What the error of a balance means, "" where it is small; NaN of a failed run is."""
+    """Sentence on the error of a balance; empty for a small error, and for NaN, which a failed run has."""
     if not error >= REMARKABLE_BALANCE:
         return ""
     return (

@@ -245,7 +245,7 @@ class Run(eqx.Module):
         span = stop - start
 
         def mean(integral):
-            return (_at(stop, self.times, integral) - _at(start, self.times, integral)) / span
+            return (_interpolated(stop, self.times, integral) - _interpolated(start, self.times, integral)) / span
 
         sums = self.integrals
         return WindowLoads(
@@ -330,7 +330,7 @@ def derivative_residual(change: Run) -> Float[Numbers, "*directions"]:
     return residual / jnp.where(force > 0.0, force, 1.0)
 
 
-def _at(time, times, values):
+def _interpolated(time, times, values):
     return jnp.interp(jnp.asarray(time, jnp.float64), jnp.asarray(times), jnp.asarray(values))
 
 

@@ -93,7 +93,7 @@ class Simulation(eqx.Module):
         self.model, self.drive, self.start, self.design, self.method = model, drive, start, design, method
         self.duration = None if duration is None else positive_quantity(duration, "time", "duration")
         self.save_every = None if save_every is None else positive_quantity(save_every, "time", "save_every")
-        self.trials = None if trials is None else _known_trials(model, trials)
+        self.trials = None if trials is None else _checked_trials(model, trials)
         self.chosen = self._choose()
 
     def _choose(self) -> Method:
@@ -131,7 +131,7 @@ class Simulation(eqx.Module):
         return cls(changes.pop("model", None) or model_of_study(study), **(settings | changes))
 
     def require_duration(self) -> float:
-        """The duration [s]. Raises InputError where there is none."""
+        """The duration [s]. Raises InputError if it was not given."""
         if self.duration is None:
             raise InputError(
                 "Argument `duration` of a simulation must be given, but is missing; add the time to simulate [s]."
@@ -164,7 +164,7 @@ def _require_kinds(model: Any, method: Any, start: Any, design: Any) -> None:
     problems.refuse()
 
 
-def _known_trials(model: Model, trials: Any) -> dict[str, ArrayLike]:
+def _checked_trials(model: Model, trials: Any) -> dict[str, ArrayLike]:
     """Trial errors by names that the model or its drives have, of finite numbers."""
     if not isinstance(trials, Mapping):
         raise InputError(
@@ -174,12 +174,14 @@ def _known_trials(model: Model, trials: Any) -> dict[str, ArrayLike]:
     known = [*model.topology.error_names, *(() if model.source is None else parameters(model))]
     for name, values in trials.items():
         if name not in known and not str(name).startswith("drive."):
-            raise InputError(f"Argument `trials` must name errors, but has {name!r}; {suggestion(name, known)}")
+            raise InputError(
+                f"Argument `trials` must name errors, but {name!r} is not an error; {suggestion(name, known)}"
+            )
         numbers = np.asarray(values)
         if numbers.ndim != 1 or numbers.dtype.kind not in "fiu" or not np.isfinite(numbers).all():
             raise InputError(
-                f"Argument `trials` must have finite numbers, one for each assembly, but {name!r} has not; give arrays "
-                "(n,) in SI units."
+                f"Argument `trials` must have finite numbers, one for each assembly, but those of {name!r} are not; "
+                "give arrays (n,) in SI units."
             )
     return dict(trials)
 
@@ -203,7 +205,7 @@ def simulation_of_call(function: str, given: Simulation | Model, former: dict[st
         return Simulation(given, **former)
     for name in former:
         raise InputError(
-            f"Argument `{name}` must be one of `{function}`, but is not; "
+            f"Argument `{name}` must be left out, but was given to `{function}`, which does not know it; "
             + ("give it to `Simulation`." if name in of_simulation else suggestion(name, of_simulation))
         )
     if not isinstance(given, Simulation):

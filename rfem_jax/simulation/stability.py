@@ -28,12 +28,10 @@ GROWTH_TOLERANCE = 1e-6  # of the amplification in one step, relative
 
 
 def check_step(model: Model, method: Method, drive: Drive = None) -> float | None:
-    """Largest stable step [s] of a fixed-step method.
+    """Largest stable step [s] of a fixed-step method. None for adaptive and implicit methods, for "auto", and for a
+    method from outside of this package that is not a Runge-Kutta method of diffrax, whose stability is unknown.
 
-    None for adaptive and implicit ones, for "auto", and for a method from outside of this package that is no
-    Runge-Kutta method of diffrax: nothing is known of its stability.
-
-    **Raises:** `InputError` if the method's step is larger, and for a drive of another joint than the driven one.
+    **Raises:** `InputError` if the method's step is larger, and for a drive of a joint that is not the driven one.
     """
     require_implicit(model, method.name, method.implicit or method.name == "auto")
     if method.implicit or method.step is None or not _stability_known(method):
@@ -60,9 +58,10 @@ def round_down(value: float) -> str:
 
 
 def largest_stable_step(model: Model, method: Method, drive: Drive = None) -> float:
-    """Largest step [s] at which no mode grows faster than its exact solution, at any position; 0 if there is none.
+    """Largest step [s] at which no mode grows faster than its exact solution, at any position; 0 if every step is too
+    long.
 
-    **Raises:** `InputError` for a drive of another joint than the driven one.
+    **Raises:** `InputError` for a drive of a joint that is not the driven one.
     """
     require_driven(model, drive)
     vibration = Vibration(model, prescribed_coordinates(model.topology, drive))
@@ -168,8 +167,8 @@ def _stability_function(method: Method, z: np.ndarray) -> np.ndarray:
     tableau = _tableau(method)
     if tableau is None:
         raise InputError(
-            f"Argument `method` must be a Runge-Kutta method for its largest stable step, but {method.name!r} is none; "
-            "try steps."
+            f"Argument `method` must be a Runge-Kutta method for its largest stable step, but {method.name!r} is not "
+            "one; try steps."
         )
     if isinstance(tableau, diffrax.MultiButcherTableau):
         tableau = tableau.tableaus[0]

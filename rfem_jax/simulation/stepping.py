@@ -59,7 +59,7 @@ class Carry(NamedTuple):
 
     @property
     def contact_changes(self) -> Float[Array, ""] | None:
-        """How often contacts have closed or opened, None where steps do not follow them."""
+        """How often contacts have closed or opened; None if steps do not follow them."""
         following = None if self.memory is None else self.memory.following
         return None if following is None else following.changes
 
@@ -120,7 +120,7 @@ class Intervals:
             self.counts = jnp.asarray(steps_of_parts(grid.distinct, steps, grid.parts.least))
 
     def operators(self, actual: ModelWithErrors) -> PyTree:
-        """What steps of each distinct length need; None where they form it themselves."""
+        """Constants of steps of each distinct length; None if the steps compute them themselves."""
         lengths = jnp.asarray(self.grid.distinct)
         lengths = lengths / (self.counts if self.grid.parts is None else jnp.maximum(self.counts, 1.0))
         if lengths.shape[0] > MOST_LENGTHS:
@@ -155,7 +155,7 @@ def _row(values: Shaped[Array, "rows ..."], place: Int[Array, ""]) -> Shaped[Arr
 
 
 def contact_tolerance_of(model: Model, method: Method) -> float | None:
-    """The tolerance with which steps are divided where contacts need it, None where they stay as they are."""
+    """Tolerance by which steps are divided for contacts; None for methods and models whose steps stay whole."""
     if not model.topology.clearances or not isinstance(method, GeneralisedAlpha):
         return None
     return method.contact_tolerance or None
@@ -233,7 +233,7 @@ def _fixed(solver, carry: Carry, schedule: Schedule, conditions, tolerance=None)
         t0, h, operators, place = schedule.step(index)
         own = conditions if operators is None else dataclasses.replace(conditions, operators=operators)
         if schedule.parts and isinstance(solver, GeneralisedAlphaSolver):
-            y, memory = _at_new_length(solver, y, memory, before, h, place, tolerance)
+            y, memory = _step_start(solver, y, memory, before, h, place, tolerance)
             before = jnp.where(place >= 0.0, h, before)
         if tolerance is not None:
             y, memory = follow_contacts(part, own.actual, t0, h, y, memory, own.operators, tolerance)
@@ -272,7 +272,7 @@ def _fixed(solver, carry: Carry, schedule: Schedule, conditions, tolerance=None)
     return carry._replace(trajectory=trajectory, peaks=peaks, memory=memory)
 
 
-def _at_new_length(solver: GeneralisedAlphaSolver, y, memory: Memory, before, h, place, tolerance):
+def _step_start(solver: GeneralisedAlphaSolver, y, memory: Memory, before, h, place, tolerance):
     """State and memory at the start of a step, whose length may differ from that of the step before."""
     trajectory, peaks = y
     if tolerance is not None and memory.following is not None:

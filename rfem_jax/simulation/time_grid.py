@@ -105,14 +105,14 @@ class TimeGrid(eqx.Module):
         return 1 if self.parts is None else int(self.parts.least.max())
 
     def with_steps_per_row(self, least: int) -> "TimeGrid":
-        """The same grid with another number of steps between two rows, at least, for programs that serve any step."""
+        """The grid with at least another number of steps between two rows, for programs that serve any step."""
         if self.parts is None:
             return self
         of_cut = np.where(self.parts.least > 0.0, float(least), 0.0)
         return dataclasses.replace(self, parts=dataclasses.replace(self.parts, least=of_cut, most=None))
 
     def of_any_step(self) -> "TimeGrid":
-        """The same grid without what depends on the step, for programs that serve any."""
+        """The grid without the entries that depend on the step, for programs that serve any step."""
         return self.with_steps_per_row(self.steps_per_row)
 
     def total_steps(self, steps: int | Float[Array, ""]) -> float:
@@ -128,7 +128,7 @@ def steps_of_parts(
     steps: int | Float[Array, ""],
     least: Float[Array | np.ndarray, " distinct"],
 ) -> Float[Array | np.ndarray, " distinct"]:
-    """Number of steps in parts of several lengths [s], of which the longest has `steps`, each at least `least`; 0 of
+    """Number of steps in parts of several lengths [s]: `steps` in the longest, at least `least` in each, 0 in a part of
     length zero."""
     # Numbers stay numbers while a program is traced around.
     xp = np if all(isinstance(x, (int, float, np.ndarray)) for x in (distinct, steps, least)) else jnp

@@ -72,8 +72,8 @@ def turn_positions(
     topology = model.topology
     if topology.driven_coordinate is None:
         raise InputError(
-            "Argument `model` must have a driven joint for a turn, but has none; give the study a drive, or the "
-            "mechanism a `driven_joint`."
+            "Argument `model` must have a driven joint for a turn, but no joint is driven; give the study a drive, or "
+            "the mechanism a `driven_joint`."
         )
     if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
         raise InputError(f"Argument `positions` must be a whole number of at least 1, but is {count!r}; 72 is usual.")
@@ -89,9 +89,10 @@ def turn_positions(
 
 
 def closed_poses(model: Model, positions: Float[np.ndarray, " positions"]) -> ClosedPose:
-    """The closed perfect rigid mechanism at positions [rad, m] of its first drive, each found from the one before.
+    """Closed poses of the perfect rigid mechanism at positions [rad, m] of its first drive; the search for each pose
+    begins at the pose before.
 
-    **Raises:** `InputError` for a position at which it does not close.
+    **Raises:** `InputError` for a position at which the mechanism does not close.
     """
     driven, pose, found = model.topology.driven_position, np.asarray(model.start_joints), []
     for position in positions:

@@ -118,7 +118,7 @@ class Vibration:
         if self.topology.n_rfes == 0 and not self.bearings:
             return self._rigid(np.asarray(joints))
         constraints = sparse.csr_matrix(self._constraints(placed) @ self.inverse_root)
-        joint_rows, stiffness, damping = self._at_joints(np.asarray(joints), placed)
+        joint_rows, stiffness, damping = self._joint_law_rows(np.asarray(joints), placed)
         by_springs, by_dampers = (np.sqrt(x)[:, None] * joint_rows for x in (stiffness, damping))
         springs, dampers = [by_springs], [by_dampers]
         for element in self.elements:
@@ -136,9 +136,9 @@ class Vibration:
         largest = [np.linalg.norm([project(row) for row in rows], 2) ** 2 for rows in (by_springs, by_dampers)]
         return Modes(np.append(modes.squares, largest[0]), np.append(modes.damping, largest[1]))
 
-    def _at_joints(self, joints: np.ndarray, placed: Placed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of the springs, dampers and laws of joints: rows (laws, 6 n) that give the rates of their coordinates from
-        the velocities L^T w of all nodes, stiffness and damping at a position, zero where they are negative."""
+    def _joint_law_rows(self, joints: np.ndarray, placed: Placed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Rows (laws, 6 n) that give the rates of joint coordinates with springs, dampers or laws from the velocities
+        L^T w of all nodes, with stiffness and damping at a position, zero where they are negative."""
         laws = list(self.forces.values())
         readers = [self._reader(law, placed) for law in laws]
         tangents = [-np.array(law_derivatives(law, _position(law, joints), 0.0), float) for law in laws]
@@ -204,8 +204,8 @@ class Vibration:
     def _principal(
         self, placed: Placed, element: FrameForce
     ) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-        """Of an element's stiffness and of its damping: rows (k, 6 n) that give the rates along the principal
-        directions from the velocities w, and the values there, zero where they are negative."""
+        """Rows (k, 6 n) that give the rates along the principal directions of an element's stiffness and of its damping
+        from the velocities w, with the principal values, zero where they are negative."""
         if element.components == 0:
             nothing = np.zeros((0, self.size)), np.zeros(0)
             return nothing, nothing
@@ -219,7 +219,7 @@ class Vibration:
         return principal(1.0, 0.0), principal(0.0, 1.0)
 
     def _reader(self, law: JointLaw | Friction, placed: Placed) -> Reader:
-        """How to read the rate of a law's motion."""
+        """Function that reads the rate of a law's motion."""
         if law.coordinate is not None:
             return self._coordinate_reader(law.coordinate, placed)
         assert isinstance(law, Friction), "only friction is in cut joints"
@@ -231,7 +231,7 @@ class Vibration:
         return ((topology.parents[law.joint], -1.0), (topology.children[law.joint], 1.0)), reader
 
     def _coordinate_reader(self, k: int, placed: Placed) -> Reader:
-        """How to read the rate of a joint coordinate."""
+        """Function that reads the rate of a joint coordinate."""
         link = self.topology.link_of_freedom[k]
         own = list(self.topology.coordinates[link])
         # The coordinate's rate of a twist over the joint that keeps its constraints.
@@ -239,7 +239,7 @@ class Vibration:
         return ((self.topology.parents[link], -1.0), (link, 1.0)), reader
 
     def _closure_reader(self, equation: int, placed: Placed) -> Reader:
-        """How to read the rate of a closure equation [m] of a compliant cut joint."""
+        """Function that reads the rate of a closure equation [m] of a compliant cut joint."""
         topology = self.topology
         joint = next(j for j, rows in zip(topology.cuts, topology.constraints, strict=True) if equation in rows)
         kind, left = topology.kind(joint).nominal, placed.joint_rotation[joint]
@@ -253,7 +253,7 @@ class Vibration:
             reader = np.concatenate([couple, np.zeros(3)])
         return ((topology.parents[joint], -1.0), (topology.children[joint], 1.0)), reader
 
-    def _by_joint_rates(self, law: JointLaw | Friction, placed: Placed) -> np.ndarray:
+    def _motion_rate_row(self, law: JointLaw | Friction, placed: Placed) -> np.ndarray:
         """Row (F,) that gives the rate of a law's motion from those of the joint coordinates."""
         row = np.zeros(self.topology.n_freedoms)
         if law.coordinate is not None:
@@ -319,10 +319,10 @@ class Vibration:
         by_rate = np.zeros((self.topology.n_freedoms, self.topology.n_freedoms))
         placed = place(self.geometry, joints)
         unloaded = self._joint_accelerations(joints, np.zeros(self.size))
-        rows, _, dampings = self._at_joints(joints, placed)
+        rows, _, dampings = self._joint_law_rows(joints, placed)
         for law, row, damping in zip(self.forces.values(), rows, dampings, strict=True):
             response = self._joint_accelerations(joints, row) - unloaded
-            by_rate += np.outer(damping * response, self._by_joint_rates(law, placed))
+            by_rate += np.outer(damping * response, self._motion_rate_row(law, placed))
         velocities = self._unit_velocities(placed)
         for element in self.elements:
             for row, damping in zip(*self._principal(placed, element)[1], strict=True):
@@ -347,7 +347,7 @@ class Vibration:
         """Load (6 n,) of springs and laws at a position of rest, as `inverse_root` transforms it."""
         zero = jnp.zeros(())
         forces = [float(law.force(jnp.asarray(_position(law, joints)), zero)) for law in self.forces.values()]
-        load = np.array(forces) @ self._at_joints(joints, placed)[0] if forces else np.zeros(self.size)
+        load = np.array(forces) @ self._joint_law_rows(joints, placed)[0] if forces else np.zeros(self.size)
         for element in self.elements:
             pose, rows = self._pose(placed, element)
             load = load + np.concatenate(element.wrench(pose, START)) @ rows @ self.inverse_root

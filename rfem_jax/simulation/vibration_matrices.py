@@ -29,8 +29,8 @@ def _nominal(model: Model):
 
 
 class NodeConstants(NamedTuple):
-    """Of `ModelWithErrors`, without errors: mass (n,), centre (n, 3), inertia (n, 3, 3) of all nodes; of the N free
-    rfes rest, damping, lever (N,) to the sde on the left, and stiffness (6, N)."""
+    """Constants of `ModelWithErrors` for zero errors: mass (n,), centre (n, 3), inertia (n, 3, 3) of all nodes; rest,
+    damping, lever (N,) to the sde on the left, and stiffness (6, N) of the N free rfes."""
 
     mass: np.ndarray
     centre: np.ndarray

@@ -60,8 +60,8 @@ def chosen(names: Sequence[str] | None) -> tuple[Benchmark, ...]:
     for name in names or ():
         if name not in known:
             raise InputError(
-                f"Argument `--only` must name benchmarks ({', '.join(known)}), but `{name}` is "
-                f"none; {suggestion(name, known)}"
+                f"Argument `--only` must name benchmarks ({', '.join(known)}), but "
+                f"`{name}` is not one; {suggestion(name, known)}"
             )
     return tuple(one for one in BENCHMARKS if not names or one.name in names)
 

@@ -68,9 +68,9 @@ def test_units_and_tables_of_both_senses():
     "kind, cut, compliance, message",
     [
         ("revolute", False, {}, "must spring a direction, but is empty; give one of radial, axial, tilt"),
-        ("revolute", False, {"normal": 1.0}, "a revolute joint holds, but `normal` is none"),
-        ("revolute", False, {"R_x": 1.0}, "a revolute joint holds, but `R_x` is none"),
-        ("spherical", False, {"tilt": 1.0}, "a spherical joint holds, but `tilt` is none"),
+        ("revolute", False, {"normal": 1.0}, "a revolute joint holds, but `normal` is not one of them"),
+        ("revolute", False, {"R_x": 1.0}, "a revolute joint holds, but `R_x` is not one of them"),
+        ("spherical", False, {"tilt": 1.0}, "a spherical joint holds, but `tilt` is not one of them"),
         ("free", False, {"radial": 1.0}, "must be left out because a free joint holds nothing"),
         ("revolute", False, {"radial": 1.0, "T_x": 2.0}, "but `radial` and `T_x` both do so along or about x"),
         ("revolute", False, {"radial_damping": 1.0}, "must have the stiffness `radial` beside `radial_damping`"),

@@ -89,7 +89,7 @@ def test_units_follow_the_motion():
 @pytest.mark.parametrize(
     "force, pieces",
     [
-        (JointSpring("k", "B"), ("`joint` of force `k`", "`B` is none")),
+        (JointSpring("k", "B"), ("`joint` of force `k`", "`B` is not a joint")),
         (JointSpring("k", "F"), ("joint of the tree", "`F` is cut", "cut another joint")),
         (JointSpring("k", "C"), ("`motion` of force `k`", "cylindrical", '"R_y", "T_y"')),
         (JointSpring("k", "C", motion="T_x"), ("`motion` of force `k`", "T_y")),
@@ -115,7 +115,7 @@ LOADED = {"coefficient": 0.1, "sliding_rate": 0.1}
     [
         (JointFriction("f", "S", **SLIDING), ("`joint` of force `f`", "`S` is spherical")),
         (JointFriction("f", "F", viscous=1.0), ("`joint` of force `f`", "`F` is fixed")),
-        (JointFriction("f", "B", viscous=1.0), ("`joint` of force `f`", "`B` is none")),
+        (JointFriction("f", "B", viscous=1.0), ("`joint` of force `f`", "`B` is not a joint")),
         (JointFriction("f", "C", **SLIDING), ("`motion` of force `f`", '"R_y", "T_y"')),
         (JointFriction("f", "A", constant=1.0), ("`sliding_rate` of force `f`", "is missing")),
         (JointFriction("f", "A", **LOADED), ("`radius` of force `f`", "radius of the pin")),

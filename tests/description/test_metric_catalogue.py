@@ -28,7 +28,7 @@ def load(tmp_path, metrics, limits=""):
 
 
 def test_study_files_know_a_registered_metric_from_then_on(tmp_path, refused):
-    with refused("'swing' is none"):
+    with refused("'swing' is not a metric"):
         load(tmp_path, '["swing"]')
     register_metric("swing", "rad", lambda run: run.angle.max())
     register_metric("end_force", "N", lambda run, joint: run.loads[joint].force[-1, 0], of_joints=True)

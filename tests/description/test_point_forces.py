@@ -91,7 +91,7 @@ def test_quantities_are_converted():
         (lambda: PointForce("p", "a", 0, "1 N"), ("`force` of force `p`", "list of numbers")),
         (lambda: PointForce("p", "a", 0, (0, 0, 1), axes="local"), ("`axes` of force `p`", '"global", "link"')),
         (lambda: PointForce("p", "a", 0, (0, 0, 1), times=[0, 1]), ("`force` of force `p`", "as many rows", "has 3")),
-        (lambda: PointForce("p", "a", 0, (0, 0, 1), breakpoints=[1.0]), ("`breakpoints`", "is no function")),
+        (lambda: PointForce("p", "a", 0, (0, 0, 1), breakpoints=[1.0]), ("`breakpoints`", "is not a function")),
         (lambda: PointMoment("p", "a", 0, lambda t, n: jnp.zeros(3), times=[0, 1]), ("`times`", "is a function")),
         (lambda: PointMoment("p", "a", 0, lambda t, n: t), ("`moment` of force `p`", "float64 array of 3")),
     ],

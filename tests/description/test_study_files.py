@@ -242,7 +242,7 @@ def changed(old, new):
         # keys
         (TEXT + "[plots]\nsize = 1\n", ("The top level", "`plots`")),
         (TEXT + "[driv]\n", ("`driv`", "did you mean `drive`?")),
-        (TEXT + "[tolerances]\n", ("[tolerances]", "there is none")),
+        (TEXT + "[tolerances]\n", ("[tolerances]", "no error is named")),
         (TEXT.split("[simulation]")[0], ("The top level", "`simulation`", "missing")),
         ("title = 'x'\n[simulation]\nduration = 1\n", ("`mechanism`", "missing")),
         (changed("duration = 0.5\n", ""), ("[simulation]", "`duration`", "missing")),

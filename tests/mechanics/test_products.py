@@ -117,7 +117,7 @@ def test_a_sum_of_constant_matrices(run):
 
 @pytest.mark.wrong_types
 def test_arrays_that_do_not_fit_are_refused():
-    with pytest.raises(ValueError, match="not equally many axes"):
+    with pytest.raises(ValueError, match="must have equally many axes"):
         vectors.apply(np.ones((3, 3, 2)), np.ones(3))
-    with pytest.raises(ValueError, match="axes of 3 and 2 entries"):
+    with pytest.raises(ValueError, match="must be of one length, but have 3 and 2 entries"):
         vectors.apply(np.ones((3, 3)), np.ones(2))

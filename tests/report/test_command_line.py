@@ -200,7 +200,7 @@ def test_keys_prints_the_reference(packages, capsys):
     assert main(["keys", "cases"]) == 0
     assert capsys.readouterr().out.startswith("[[cases]]\n---------\n  name    needed  letters")
     assert main(["keys", "plots"]) == 2
-    assert "`plots` is in none" in one_sentence(capsys)
+    assert "`plots` is in none of them" in one_sentence(capsys)
 
 
 def test_keys_prints_all_metrics(packages, capsys):

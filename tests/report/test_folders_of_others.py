@@ -76,7 +76,7 @@ def test_samples_of_another_study(task_file, tmp_path, capsys, nothing_computed,
     for command in ("monte-carlo", "run"):
         assert call(command, task_file, out) == 2
         (sentence,) = [line for line in capsys.readouterr().err.splitlines() if "`--out`" in line]
-        assert f"is of another: it differs in {word} (there " in sentence
+        assert f"holds another study, which differs in {word} (there " in sentence
     assert contents(out) == before
 
 

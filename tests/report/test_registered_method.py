@@ -5,10 +5,21 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import diffrax
+import jax
 import numpy as np
 import pytest
 
-from rfem_jax import Explicit, Method, Simulation, check_step, discretise, load_study, register_method, simulate
+from rfem_jax import (
+    Explicit,
+    Method,
+    Simulation,
+    assembly_errors,
+    check_step,
+    discretise,
+    load_study,
+    register_method,
+    simulate,
+)
 from rfem_jax.description import FixedStep, InputError, methods
 from rfem_jax.description.methods import named_method
 from rfem_jax.report import command_line
@@ -45,7 +56,6 @@ def make_kutta3(method):
     )
 
     class Kutta3Solver(diffrax.AbstractERK):
-        scan_kind: str | None = "bounded"
         tableau: ClassVar = coefficients
         interpolation_cls: ClassVar = diffrax.ThirdOrderHermitePolynomialInterpolation.from_k
 
@@ -94,6 +104,21 @@ def test_its_step_is_checked_by_its_own_stability_function(registered, tmp_path)
     assert limits[0] / limits[1] == pytest.approx(np.sqrt(3.0 / 8.0), rel=0.05)
     with pytest.raises(InputError, match=r"`step` must be at most .* 'kutta3'"):
         check_step(model, named_method("kutta3", step=1.01 * limits[0]), study.drive)
+
+
+@pytest.mark.slow
+def test_its_derivatives_are_the_same_in_both_modes(registered, tmp_path):
+    (tmp_path / "study.toml").write_text(RK4, encoding="utf-8")
+    study = load_study(tmp_path / "study.toml")
+    model = discretise(study.mechanism)
+    simulation = Simulation(model, drive=study.drive, duration=1e-4, method=Kutta3(step=1e-5))
+
+    def force(tilt):
+        return simulate(simulation, assembly_errors(model, {"A.delta_x": tilt})).metrics.mean_square_force["A"]
+
+    forward, reverse = jax.jacfwd(force)(0.1), jax.grad(force)(0.1)
+    assert abs(float(forward)) > 0.0
+    np.testing.assert_allclose(reverse, forward, rtol=1e-9)
 
 
 def test_its_settings_are_checked_like_all_others(registered, tmp_path):

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
-from rfem_jax.simulation.batches import like_batched
+from rfem_jax.simulation.batches import with_batch_axes
 
 
 def made(align):
@@ -43,7 +43,7 @@ def derivative(function):
 
 
 def test_all_results_of_function_and_rule_have_the_same_batch_axes():
-    value, tangent = derivative(made(like_batched))
+    value, tangent = derivative(made(with_batch_axes))
     x = np.array([1.0, 2.0, 4.0])
     np.testing.assert_allclose(value, x + 42.0 + x**2, rtol=1e-8)
     np.testing.assert_allclose(tangent, 1.0 + 2.0 * x, rtol=1e-12)
@@ -51,17 +51,17 @@ def test_all_results_of_function_and_rule_have_the_same_batch_axes():
 
 def test_an_array_that_depends_on_no_sample_gets_its_axis():
     def function(x, y):
-        return like_batched((y, x), x)
+        return with_batch_axes((y, x), x)
 
     constant, own = jax.eval_shape(jax.vmap(function, (0, None), out_axes=0), jnp.ones(4), jnp.arange(3.0))
     assert constant.shape == (4, 3) and own.shape == (4,)
     # vmap refuses an unbatched result where none may be.
-    axes = jax.vmap(lambda x: like_batched(jnp.arange(3.0), x), out_axes=1)(jnp.ones(4))
+    axes = jax.vmap(lambda x: with_batch_axes(jnp.arange(3.0), x), out_axes=1)(jnp.ones(4))
     assert axes.shape == (3, 4)
 
 
 def test_the_compiled_program_has_no_trace_of_it():
-    program = jax.jit(lambda x, y: like_batched((jnp.sin(y), 2.0 * y), x))
+    program = jax.jit(lambda x, y: with_batch_axes((jnp.sin(y), 2.0 * y), x))
     text = program.lower(1.0, jnp.arange(3.0)).compile().as_text()
     assert " select(" not in text and "sine(" in text
 
@@ -90,7 +90,7 @@ def test_tangents_of_zeros_where_a_source_has_one():
         (jax.lax.stop_gradient, True, False),
     ):
         seen, value, tangent = moving(
-            lambda x: like_batched(constants, source(x), differentiated=differentiated),
+            lambda x: with_batch_axes(constants, source(x), differentiated=differentiated),
             x,
         )
         assert seen == [expected] * 2 or (not seen and not expected)

@@ -166,7 +166,7 @@ def test_a_problem_refuses_metrics_that_it_cannot_compute(registered, pendulum):
     for names, words in (
         ("tipp", "did you mean `tip`"),
         ("Q.pull", "of joints of the model"),
-        (Metric("y", "N"), "must hold metrics with a function of a run, but 'y' has none"),
+        (Metric("y", "N"), "must hold metrics with a function of a run, but 'y' has no function"),
         (("tip", "tip"), "`tip` occurs twice"),
         ((), "at least one name"),
     ):

@@ -31,7 +31,10 @@ def require_arguments(name: str, function: Callable, given: Sequence[Any], named
     for one in named:
         with problems.noted():
             if one not in known:
-                raise InputError(f"Argument `{one}` must be one of {name}, but is not; {suggestion(one, known)}")
+                raise InputError(
+                    f"Argument `{one}` must be left out, but was given to {name}, which does not know it; "
+                    f"{suggestion(one, known)}"
+                )
     there = {*places[: len(given)], *named}
     all_known = len(given) <= len(places) and set(named) <= set(known)  # else one of them may be what is missing
     for one in own:

@@ -180,7 +180,7 @@ def suggestion(name: object, known: Iterable[object]) -> str:
     if match is not None:
         return f"did you mean `{match}`?"
     if not known:
-        return "there is none to choose from."
+        return "there is nothing to choose from."
     shown = ", ".join(f"`{entry}`" for entry in known[:20])
     return f"known are {shown}{' and more' if len(known) > 20 else ''}."
 

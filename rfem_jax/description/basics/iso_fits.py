@@ -110,7 +110,7 @@ def _parsed(code: Any, where: str, example: str) -> tuple[float, str, int, str |
 def _deviations(size: float, letters: str, grade: int, code: str, where: str) -> tuple[float, float]:
     if letters not in (*HOLES, *SHAFTS) or grade not in GRADES:
         raise InputError(
-            f"Argument `{where}` must have a code that is known, but `{letters}{grade}` in {code!r} is none; known are "
+            f"Argument `{where}` must have a known code, but `{letters}{grade}` in {code!r} is not known; known are "
             f"the holes {', '.join(HOLES)} and the shafts {', '.join(SHAFTS)} of the grades {GRADES[0]} to "
             f"{GRADES[-1]}: give other limits as an interval."
         )
@@ -124,8 +124,8 @@ def _deviations(size: float, letters: str, grade: int, code: str, where: str) ->
     width = table["grades_um"][str(grade)][column]
     if letters == "K" and grade > 8 and column:
         raise InputError(
-            f"Argument `{where}` must have a code of the standard, but K{grade} over 3 mm is none; give its limits as "
-            "an interval."
+            f"Argument `{where}` must have a code of the standard, but it has no K{grade} over 3 mm; give its limits "
+            "as an interval."
         )
     low = _lower(letters, grade, column, width, table)
     return low * MICROMETRE, (low + width) * MICROMETRE

@@ -249,7 +249,7 @@ def _unit(unit: str, text: str, where: str, dimension: str) -> tuple[float, tupl
                 same = [name for name, (_, exponents) in UNITS.items() if exponents == wanted]
                 raise InputError(
                     f"{subject(where)} must have a known unit, but `{symbol or unit}` in {text!r} "
-                    f'is none; write it as in "{example}"; {suggestion(symbol, same or UNITS)}'
+                    f'is not a known unit; write it as in "{example}"; {suggestion(symbol, same or UNITS)}'
                 )
             power = float(match.group(2) or 1) * (1 if position == 0 else -1)
             power = int(power) if power.is_integer() else power  # powers of floats round differently

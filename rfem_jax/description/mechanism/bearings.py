@@ -44,7 +44,7 @@ class Bearing(ChecksItself):
     def _require_any(self) -> None:
         if not self.capacities:
             raise InputError(
-                "Argument `bearing` of a joint must have a capacity, but has none; give `dynamic_capacity`, "
+                "Argument `bearing` of a joint must have a capacity, but none is given; give `dynamic_capacity`, "
                 "`static_capacity` or `moment_capacity`, or leave the bearing out."
             )
 

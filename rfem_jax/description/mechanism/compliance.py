@@ -144,7 +144,7 @@ class Compliance:
             known = tuple(map(self._key, kind.directions))
             raise InputError(
                 f"Argument `{self._table}` {of} must spring directions that a {kind.name} joint holds, but "
-                f"`{self._key(name)}` is none; {suggestion(self._key(name), known)}"
+                f"`{self._key(name)}` is not one of them; {suggestion(self._key(name), known)}"
             )
         if cut and kind.angles == 0 and kind.directions[name][0][0] == "R":
             raise InputError(

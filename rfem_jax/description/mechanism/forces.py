@@ -232,12 +232,12 @@ class JointFriction(ChecksItself, JointForce):
         if joint.clearance is not None:
             raise InputError(
                 f"Argument `joint` of force `{self.name}` must have no clearance for friction about its axis, but "
-                f"`{joint.name}` has; give `friction` in its clearance, which acts at the contacts."
+                f"`{joint.name}` has one; give `friction` in its clearance, which acts at the contacts."
             )
         if joint.kind not in FRICTION_KINDS:
             raise InputError(
                 f"Argument `joint` of force `{self.name}` must be revolute, prismatic or cylindrical, but "
-                f"`{joint.name}` is {joint.kind}; there is no friction for this kind, take a damper."
+                f"`{joint.name}` is {joint.kind}; take a damper, since this kind of joint has no friction."
             )
         freedom = _freedom_of(self, joint)
         self._check_what_is_given(freedom)
@@ -303,8 +303,8 @@ class JointFriction(ChecksItself, JointForce):
         for name, used in needs.items():
             if getattr(self, name) is not None and not used:
                 raise InputError(
-                    f"Argument `{name}` {of} must come with {with_what[name]}, but came without and is not used; leave "
-                    "it out, or give what it belongs to."
+                    f"Argument `{name}` {of} must be given with {with_what[name]}, but was given without and is not "
+                    "used; leave it out, or give what it belongs to."
                 )
 
 

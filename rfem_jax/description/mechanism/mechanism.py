@@ -120,7 +120,7 @@ class Mechanism(ChecksItself):
         if rated and self.start == EQUILIBRIUM:
             raise InputError(
                 f'Argument `start` must be "as_given" where joints have initial rates, but was "{EQUILIBRIUM}", which '
-                f"is at rest, and joint `{rated[0]}` has one; leave out `start`, or the rates."
+                f"is at rest, and joint `{rated[0]}` has a rate; leave out `start`, or the rates."
             )
 
     def link(self, name: str) -> Link:
@@ -183,7 +183,7 @@ class Mechanism(ChecksItself):
         """Raise InputError with the nearest name unless `name` is one of `error_names`."""
         if name not in self.error_names:
             raise InputError(
-                f"{subject(where)} must be an error of this mechanism, but `{name}` is none; "
+                f"{subject(where)} must be an error of this mechanism, but it has no error `{name}`; "
                 f"{self.about_missing(name) or suggestion(name, self.error_names)}"
             )
 
@@ -310,7 +310,7 @@ class Mechanism(ChecksItself):
                     continue
                 if force.joint not in tree:
                     cut = force.joint in [joint.name for joint in self.joints]
-                    reason = "is cut" if cut else "is none"
+                    reason = "is cut" if cut else "is not a joint"
                     fix = "cut another joint of the loop." if cut else suggestion(force.joint, tree)
                     raise InputError(
                         f"Argument `joint` of force `{force.name}` must be a joint of the tree, but `{force.joint}` "
@@ -362,7 +362,7 @@ def _find(entries: Sequence[Part], name: str, kind: str) -> Part:
         if entry.name == name:
             return entry
     raise InputError(
-        f"Argument `name` must be a {kind} of the mechanism, but `{name}` is none; "
+        f"Argument `name` must be a {kind} of the mechanism, but it has no {kind} `{name}`; "
         f"{suggestion(name, [entry.name for entry in entries])}"
     )
 

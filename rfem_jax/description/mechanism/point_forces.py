@@ -250,7 +250,7 @@ class AtPoint(PointLoad):
             )
         if self.breakpoints and not changes:
             raise InputError(
-                f"Argument `breakpoints` {of} must be left out where `{value}` is no function, but was "
+                f"Argument `breakpoints` {of} must be left out where `{value}` is not a function, but was "
                 f"{list(self.breakpoints)}; give a time of a table twice for a jump."
             )
 

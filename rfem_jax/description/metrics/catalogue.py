@@ -92,7 +92,7 @@ def register_metric(
         register_metric("swing", "rad", lambda run: jnp.max(run.angle), label="largest crank angle")
         register_metric("end_force", "N", lambda run, joint: run.loads[joint].force[-1, 0], of_joints=True)
 
-        problem = Problem(model, drive, duration, ("swing", "A.end_force"), method)
+        problem = Problem(simulation, ("swing", "A.end_force"))
 
     Args:
         name: letters, digits, "_" and "-"; a metric of joints is then named "JOINT.name", one of links "LINK.name".

@@ -92,7 +92,8 @@ def require_metric(name: str, subjects: MetricSubjects, whole: str, of: str = ""
     kind, owner = kind_and_owner(name)
     if kind is None:
         raise InputError(
-            f"Argument `metrics`{of} must name metrics, but {name!r} is none; {suggested_metric(name, owner or '*')}"
+            f"Argument `metrics`{of} must name metrics, but {name!r} is not a metric; "
+            f"{suggested_metric(name, owner or '*')}"
         )
     if kind.of == "run":
         refusal = kind.refusal and kind.refusal(subjects)
@@ -107,8 +108,8 @@ def require_metric(name: str, subjects: MetricSubjects, whole: str, of: str = ""
         divided(owner)
     if wanted not in (*known, "*"):
         raise InputError(
-            f"Argument `metrics`{of} must be of {kind.of}s of the {whole}, but `{owner}` in `{name}` is none; "
-            f"{suggestion(wanted, known)}"
+            f"Argument `metrics`{of} must be of {kind.of}s of the {whole}, but it has no {kind.of} `{owner}` for "
+            f"`{name}`; {suggestion(wanted, known)}"
         )
     having = [one for one, subject in known.items() if refusal_of(kind, subject) is None]
     if wanted == "*" and having:
@@ -121,7 +122,7 @@ def require_metric(name: str, subjects: MetricSubjects, whole: str, of: str = ""
 def refusal_of(kind: MetricKind, subject: JointSubject | LinkSubject | MetricSubjects) -> str | None:
     """Why a joint, a link or a mechanism has no such metric, None if it has."""
     if isinstance(subject, JointSubject) and kind.had_by is not None and not kind.had_by(subject.kind, subject.cut):
-        return "a cut joint has no coordinate, and one of another kind not this one"
+        return "a cut joint has no coordinate, and a joint of another kind has other coordinates"
     return kind.refusal and kind.refusal(subject)
 
 
@@ -131,7 +132,7 @@ def _not_had(
     """The sentence that says why a joint or link has no such metric, and which have it."""
     reason = subject and refusal_of(kind, subject)
     return (
-        f"Argument `metrics`{of} must be of {kind.of}s that have them, but `{name}` is not"
+        f"Argument `metrics`{of} must be of {kind.of}s that have them, but there is no `{name}`"
         + (f": {reason}; " if reason else "; ")
         + (f"{kind.of}s that have it are {', '.join(having)}." if having else f"no {kind.of} has it, leave it out.")
     )

@@ -56,7 +56,7 @@ def _name(name: str, mechanism: Mechanism, drives: Sequence[AnyDrive], labels: S
     known = parameters_of(mechanism)
     if name.startswith("drive.") and name not in known and numbers:
         raise InputError(
-            f"Argument `design` must name numbers of the drives, but `{name}` is none; {suggestion(name, numbers)}"
+            f"Argument `design` must name numbers of the drives, but they have no `{name}`; {suggestion(name, numbers)}"
         )
     return known.find(name, "design").name
 

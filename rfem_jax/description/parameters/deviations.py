@@ -31,7 +31,7 @@ def require_deviation(mechanism: Mechanism, name: str, where: str = "name") -> N
     known = parameters_of(mechanism)
     if name not in known:
         raise InputError(
-            f"{subject(where)} must be an error or a parameter of this mechanism, but `{name}` is none; "
+            f"{subject(where)} must be an error or a parameter of this mechanism, but `{name}` is neither; "
             f"{mechanism.about_missing(name) or suggestion(name, (*mechanism.error_names, *known, *_of_drives()))}"
         )
 

@@ -3,10 +3,11 @@
 Place in the pipeline: joint_kinds, the objects -> **number_fields** -> parameters.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from rfem_jax.description.basics.joint_kinds import Freedom
 from rfem_jax.description.mechanism.clearance import Clearance, stiffness_dimension
+from rfem_jax.description.mechanism.forces import JointFriction, JointSpring
 from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.links import PointMass
 from rfem_jax.description.mechanism.materials import Material
@@ -120,3 +121,9 @@ def friction_fields(freedom: Freedom) -> Fields:
         "static_constant": (force, NOT_NEGATIVE),
         "load_scale": ("force", POSITIVE),
     }
+
+
+JOINT_FORCES: dict[type, Callable[[Freedom], Fields]] = {
+    JointSpring: joint_spring_fields,
+    JointFriction: friction_fields,
+}

@@ -20,7 +20,7 @@ from typing import Any
 from rfem_jax.description.basics.errors import InputError, subject, suggestion
 from rfem_jax.description.basics.joint_kinds import KINDS, Freedom
 from rfem_jax.description.basics.units import DIMENSIONS, non_negative_quantity, positive_quantity, quantity
-from rfem_jax.description.mechanism.forces import Force, JointForce, JointForceTable, JointFriction, JointSpring
+from rfem_jax.description.mechanism.forces import Force, JointForce, JointForceTable
 from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.links import Link, PointMass
 from rfem_jax.description.mechanism.mechanism import Mechanism
@@ -32,12 +32,11 @@ from rfem_jax.description.parameters.number_fields import (
     BODY,
     COMPONENTS,
     FIELDS,
+    JOINT_FORCES,
     NOT_NEGATIVE,
     POINT_FORCES,
     POSITIVE,
     clearance_fields,
-    friction_fields,
-    joint_spring_fields,
 )
 from rfem_jax.description.parameters.parts import Parts, Path, number_at, parts_of
 
@@ -125,11 +124,11 @@ class ParameterNames(Mapping[str, Parameter]):
                 f"{subject(where)} must name numbers that are given, but `{name}` {_FOLLOWING[component]}."
             )
         raise InputError(
-            f"{subject(where)} must name parameters, but `{name}` is none; {suggestion(name, self._known)}"
+            f"{subject(where)} must name parameters, but `{name}` is not a parameter; {suggestion(name, self._known)}"
         )
 
 
-_AT_THE_END = "is left out and at the link's end; set the link's length, or give the position in the description"
+_AT_THE_END = "is left out and lies at the link's end; set the link's length, or give the position in the description"
 _FOUND = "follows from closing the loops or from assembly; only what a drive holds is given"
 _FOLLOWING = {
     "shear_factor": "is derived from the diameters; give it in the description",
@@ -302,10 +301,10 @@ def _of_load(owner: tuple[str, str], force: AtPoint, path: Path) -> Iterator[Par
 def _force_fields(force: Force, parts: Parts) -> Mapping[str, tuple[str, str]]:
     """Fields of a force that are numbers."""
     if isinstance(force, JointForce):
-        freedom = KINDS[parts.joint(force.joint).kind].freedoms[force.coordinate(parts.joint(force.joint))]
-        if isinstance(force, JointSpring):
-            return joint_spring_fields(freedom)
-        return friction_fields(freedom) if isinstance(force, JointFriction) else {}
+        joint = parts.joint(force.joint)
+        freedom = KINDS[joint.kind].freedoms[force.coordinate(joint)]
+        fields_along = JOINT_FORCES.get(type(force))
+        return {} if fields_along is None else fields_along(freedom)
     return POINT_FORCES.get(type(force), {})
 
 

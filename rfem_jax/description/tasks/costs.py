@@ -69,7 +69,8 @@ def complete_costs(bounds: Mapping[str, tuple[float, float]], costs: Mapping[str
     missing = [name for name in bounds if name not in costs]
     if missing:
         raise InputError(
-            f"Argument `costs` must have a cost for every error with bounds, but `{missing[0]}` has none; add it."
+            f"Argument `costs` must have a cost for every error with bounds, but that of `{missing[0]}` is missing; "
+            "add it."
         )
     given = {name: costs[name] for name in bounds}
     return dict(costs) | {name: replace(one, at=bounds[name][1]) for name, one in given.items() if one.at is None}
@@ -113,7 +114,8 @@ def size_dimension(name: object) -> str:
         near = f"{owner}.{close}" if close else nearest(name, parameters_being_read())
         told = f"did you mean `{near}`?" if near else 'write for example "D.delta_x", "D.coaxiality" or "bar.height".'
         raise InputError(
-            f"Argument `bounds` must name errors, zones of drawings or parameters, but `{name}` is none; {told}"
+            f"Argument `bounds` must name errors, zones of drawings or parameters, but `{name}` is none of these; "
+            f"{told}"
         ) from None
 
 

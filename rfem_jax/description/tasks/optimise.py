@@ -168,7 +168,7 @@ def _objective(objective: object) -> dict[str, float]:
         name: non_negative_quantity(weight, "none", f"`{name}` of `objective`") for name, weight in terms.items()
     }
     if not any(weights.values()):
-        raise InputError("Argument `objective` must have a weight above 0, but all are 0; give one.")
+        raise InputError("Argument `objective` must have a weight above 0, but all weights are 0; give one.")
     return weights
 
 

@@ -65,7 +65,7 @@ class ReliabilityTask(Task):
 
     def _require_end(self) -> None:
         if all(abs(end) == float("inf") for pair in self.limits.values() for end in pair):
-            raise InputError("Argument `limits` must have a finite end, but all are open; give a number.")
+            raise InputError("Argument `limits` must have a finite end, but all ends are open; give a number.")
 
     @property
     def metrics(self) -> tuple[str, ...]:

@@ -37,7 +37,7 @@ def metric_names(names: object) -> tuple[str, ...]:
         if kind is not None:
             continue
         fix = suggested_metric(str(name), owner or "*")
-        problems.append(f"Argument `metrics` must hold names of metrics, but {name!r} is none; {fix}")
+        problems.append(f"Argument `metrics` must hold names of metrics, but {name!r} is not a metric; {fix}")
     if problems:
         raise InputError(*problems)
     return tuple(dict.fromkeys(names))

@@ -34,7 +34,9 @@ class Tasks(ChecksItself):
         problems = []
         for name, task in asked.items():
             if name not in kinds:
-                problems.append(f"Argument `{name}` must be a kind of task, but is none; {suggestion(name, kinds)}")
+                problems.append(
+                    f"Argument `{name}` must be a kind of task, but there is no such kind; {suggestion(name, kinds)}"
+                )
             elif task is not None and not isinstance(task, kinds[name].asked_class()):
                 problems.append(
                     f"Argument `{name}` must be a {kinds[name].asked_class().__name__}, but was {task!r}; make one."

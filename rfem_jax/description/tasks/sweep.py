@@ -64,7 +64,7 @@ class SweepTask(Task):
         for name in self.at:
             if name in self.bounds:
                 raise InputError(
-                    f"Argument `at` must hold errors that do not vary, but `{name}` does; remove it there."
+                    f"Argument `at` must hold errors that do not vary, but `{name}` varies; remove it from `at`."
                 )
 
     def _require_few(self) -> None:
@@ -83,7 +83,7 @@ class SweepTask(Task):
             return task
         if tolerances is None:
             raise InputError(
-                f"{place}: Argument `bounds` must be given where there are no tolerances, but is not; write for "
+                f"{place}: Argument `bounds` must be given where there are no tolerances, but is missing; write for "
                 'example bounds = { "D.delta_x" = ["-0.5 deg", "0.5 deg"] }.'
             )
         widths = tolerances.half_widths()

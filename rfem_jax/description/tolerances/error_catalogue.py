@@ -49,7 +49,7 @@ def error_dimension(name: object, also: Collection[str] = ()) -> str:
     if component not in _KNOWN:
         raise InputError(
             "Argument `name` of an error must end in a known kind of error, but "
-            f"`{component}` in `{name}` is none; {_suggestion(str(name), component, parameters, also)}"
+            f"`{component}` in `{name}` is not one; {_suggestion(str(name), component, parameters, also)}"
         )
     return _KNOWN[component]
 

@@ -110,7 +110,8 @@ class SpecifiedTolerance(ChecksItself):
             return deviations_of_code(code, where)
         if not self.error.endswith(".clearance.radial"):
             raise InputError(
-                f"Argument `{where}` must be one size, as `{self.error}` is no radial clearance, but {code!r} is a "
+                f"Argument `{where}` must be one size, since `{self.error}` is not a radial clearance, but {code!r} is "
+                "a "
                 'fit; write for example "25 H7".'
             )
         half = clearance_fit(code, where).radial[1]
@@ -120,8 +121,8 @@ class SpecifiedTolerance(ChecksItself):
         """See that a capability is given whole and alone; a study that was read has its distribution by it."""
         if self.cp is None and (self.cpk is not None or self.side is not None):
             raise InputError(
-                f"Argument `cp` {where} must be given with `cpk` and `side`, but is not; add it, as the standard "
-                "deviation follows from it."
+                f"Argument `cp` {where} must be given with `cpk` and `side`, but is missing; add it, since the "
+                "standard deviation follows from it."
             )
         if self.cp is None:
             return
@@ -202,7 +203,7 @@ class SpecifiedTolerances(ChecksItself):
     def _check_fields(self, checks: Checks) -> None:
         names = self.names
         twice = dict.fromkeys(name for index, name in enumerate(names) if name in names[:index])
-        for found in [f"`{name}` occurs twice" for name in twice] if names else ["there is none"]:
+        for found in [f"`{name}` occurs twice" for name in twice] if names else ["no error is named"]:
             checks.found.append(
                 f"Argument `tolerances` must name every error once, but {found}; "
                 "give each error one tolerance, alone, in one group or in one zone."

@@ -82,8 +82,8 @@ class SpecifiedZone(ChecksItself):
             )
         if self.characteristic in OF_DIRECTION and self.length is None:
             raise InputError(
-                f"Argument `length` {where} must be given, as a direction has a tolerance over a length, but is not; "
-                "add the length of the bearing."
+                f"Argument `length` {where} must be given, since a direction has a tolerance over a length, but is "
+                "missing; add the length of the bearing."
             )
 
     @property

@@ -71,18 +71,18 @@ def solve(factored: Factored, loads: Float[Array, "6 m *columns"]) -> Float[Arra
     m = loads.shape[1]
     n, g = partition(m)
     if n == 1:
-        return _by_rfe(constant_product(factored.inverse[0], by_component(loads)))
+        return _split_by_rfe(constant_product(factored.inverse[0], by_component(loads)))
     padding = jnp.zeros((6, n * g - m) + loads.shape[2:])
     loads = jnp.concatenate([loads, padding], axis=1).reshape((6, n, g) + loads.shape[2:])
 
     def eliminate(before, block):
         inverse, from_before, load = block
         solution = constant_product(inverse, by_component(load)) - constant_product(from_before, before)
-        return _by_rfe(solution)[:, -1], solution
+        return _split_by_rfe(solution)[:, -1], solution
 
     def substitute(after, block):
         from_after, solution = block
-        solution = _by_rfe(solution - constant_product(from_after, after))
+        solution = _split_by_rfe(solution - constant_product(from_after, after))
         return solution[:, 0], solution
 
     zero = jnp.zeros_like(loads[:, 0, 0])
@@ -92,7 +92,7 @@ def solve(factored: Factored, loads: Float[Array, "6 m *columns"]) -> Float[Arra
     return jnp.moveaxis(solved, 0, 1).reshape((6, n * g) + loads.shape[3:])[:, :m]
 
 
-def _by_rfe(vector: Float[Array, " size *columns"]) -> Float[Array, "6 g *columns"]:
+def _split_by_rfe(vector: Float[Array, " size *columns"]) -> Float[Array, "6 g *columns"]:
     """A flat vector (6 g, ...) as (6, g, ...)."""
     return vector.reshape((6, vector.shape[0] // 6) + vector.shape[1:])
 

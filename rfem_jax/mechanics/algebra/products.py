@@ -60,7 +60,9 @@ def _broadcast(first: Labels, second: Labels, result: Labels, a: tuple[int, ...]
     """Labels of all axes of both arrays and of the result, and shapes of both without the axes that are broadcast."""
     a_later, b_later = a[len(first) :], b[len(second) :]
     if len(a_later) != len(b_later):
-        raise ValueError(f"arrays of shapes {a} and {b} have not equally many axes after {first} and {second}")
+        raise ValueError(
+            f"Arrays of shapes {a} and {b} must have equally many axes after those of {first} and {second}."
+        )
     later = [100 + i for i in range(len(a_later))]
     a_kept = [label for label, n, other in zip(later, a_later, b_later) if n != 1 or other == 1]
     b_kept = [label for label, n, other in zip(later, b_later, a_later) if n != 1 or other == 1]
@@ -82,7 +84,9 @@ def _sizes(operands: Sequence, axes: tuple[Labels, ...]) -> dict[int, int]:
     for operand, labels in zip(operands, axes, strict=True):
         for label, n in zip(labels, operand.shape, strict=True):
             if sizes.setdefault(label, n) != n:
-                raise ValueError(f"axes of {sizes[label]} and {n} entries are to be multiplied")
+                raise ValueError(
+                    f"Axes that are multiplied must be of one length, but have {sizes[label]} and {n} entries."
+                )
     return sizes
 
 
@@ -140,7 +144,7 @@ def _dtype(operands) -> np.dtype:
 
 
 def _derivative(primitive: Primitive):
-    """The rule of forward mode: of a sum of products it is one, too."""
+    """Rule of forward mode: the tangent of a sum of products is a sum of products, too."""
 
     def rule(primals, tangents, **settings):
         value = primitive.bind(*primals, **settings)

@@ -26,18 +26,18 @@ _reorder, _repeat, _sum_groups = Primitive("reorder"), Primitive("repeat_rows"),
 
 
 def reorder(values: Array | np.ndarray, order: Sequence[int] | np.ndarray, axis: int = 0) -> Array:
-    """Rows `order[0]`, `order[1]`, ... of an axis; `order` is a permutation of its places.
+    """Rows `order[0]`, `order[1]`, ... of an axis.
 
-    **Raises:** `ValueError` if it is none.
+    **Raises:** `ValueError` if `order` is not a permutation of the axis's places.
     """
     order = tuple(int(place) for place in order)
     if sorted(order) != list(range(values.shape[axis])):
-        raise ValueError(f"{order} is no permutation of {values.shape[axis]} rows")
+        raise ValueError(f"{order} is not a permutation of {values.shape[axis]} rows")
     return _reorder.bind(values, order=order, axis=axis)
 
 
 def rows(values: Array | np.ndarray, places: Sequence[int] | np.ndarray, axis: int = 0) -> Array:
-    """Rows at known places of an axis, each at most once."""
+    """Rows at static places of an axis, each at most once."""
     places = np.asarray(places, int)
     runs = np.split(places, np.flatnonzero(np.diff(places) != 1) + 1)
     if len(runs) > MOST_RUNS or not places.size:
@@ -71,7 +71,7 @@ def sum_groups(values: Array | np.ndarray, counts: Sequence[int], axis: int = -1
 
 def _grouped(primitive: Primitive, values, counts: Sequence[int], axis: int, rows: int) -> Array:
     if values.shape[axis] != rows:
-        raise ValueError(f"counts {tuple(counts)} are not for {values.shape[axis]} rows")
+        raise ValueError(f"The counts {tuple(counts)} must be of {rows} rows, but the axis has {values.shape[axis]}.")
     return primitive.bind(values, counts=tuple(int(n) for n in counts), axis=axis % values.ndim)
 
 

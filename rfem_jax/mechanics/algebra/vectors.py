@@ -194,8 +194,8 @@ def spatial_inertia(
 def spatial_mobility(
     mass: Float[Array, "*k"], centre: Float[Array, " 3 *k"], inverse: Float[Array, "3 3 *k"]
 ) -> Float[Array, "6 6 *k"]:
-    """Inverse of `spatial_inertia`, from the inverses of the central inertia tensors; accurate where a numerical
-    inverse of the ill-conditioned inertia is not."""
+    """Inverse of `spatial_inertia`, from the inverses of the central inertia tensors. It is accurate where the inertia
+    is ill-conditioned and a numerical inverse is not."""
     shift = cross_matrix(centre)
     shifted = product(shift, inverse)
     identity = jnp.asarray(IDENTITY).reshape((3, 3) + (1,) * (centre.ndim - 1))

@@ -46,8 +46,8 @@ def _lines(actual: ModelWithErrors, motion: Motion) -> list[Float[Array, "_ 3"]]
 
 
 class Shape(NamedTuple):
-    """What of a mechanism is drawn: points [m] along its links, as of `link_lines`, link by link; of its joints the
-    frames that loads are in (H, at a cut joint L) and the centres on the child [m]; all in global axes."""
+    """Places for pictures of a mechanism in global axes: points [m] along its links, as of `link_lines`, link by link;
+    frames in which the loads of its joints are given (H, at a cut joint L), and the centres on the child [m]."""
 
     points: Float[Array, "*t points 3"]
     rotation: Float[Array, "*t joints 3 3"]

@@ -389,13 +389,13 @@ def _multipliers(
         baumgarte = -stabilisation.velocity_gain * cuts.rate - stabilisation.position_gain * cuts.residual
         left_open = redundancy(topology, motion, cuts)
         if cuts.springs is not None:
-            return _beside_springs(topology, cuts.springs.multipliers, rows, cuts.bias, baumgarte, left_open)
+            return _multipliers_given_springs(topology, cuts.springs.multipliers, rows, cuts.bias, baumgarte, left_open)
         inverse = inverse_closure(rows[:, 1:], left_open)
         stabilising = apply(inverse, baumgarte)
         return stabilising - apply(inverse, cuts.bias + rows[:, 0]), stabilising
 
 
-def _beside_springs(
+def _multipliers_given_springs(
     topology: Topology, springs: Array, rows: Array, bias: Array, baumgarte: Array, left_open: Redundancy | None
 ) -> tuple[Array, Array]:
     """`_multipliers` where those of springs are given: the others hold what these leave (theory (13.8))."""

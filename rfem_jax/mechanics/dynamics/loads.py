@@ -65,7 +65,7 @@ class Energies(NamedTuple):
 
 @runtime_checkable
 class Placed(Protocol):
-    """Of an instant: motion, closure, and what force elements exert."""
+    """Motion, closure and forces of the elements at an instant."""
 
     @property
     def motion(self) -> Motion: ...
@@ -77,7 +77,7 @@ class Placed(Protocol):
 
 @runtime_checkable
 class Solved(Placed, Protocol):
-    """Of the solution of one instant, or of a mechanism at rest: its multipliers [N] and forces of laws, too."""
+    """Solution of one instant, or of a mechanism at rest: `Placed` with the multipliers [N] and the forces of laws."""
 
     @property
     def multipliers(self) -> Float[Array, " constraints"]: ...
@@ -121,7 +121,7 @@ def joint_loads(actual: ModelWithErrors, result: Accelerations, drive: DriveInpu
         links = jnp.stack([wrenches[l] for l in range(n)], axis=1)
         hinges = result.motion.hinges
         moment = links[:3] - cross(hinges.point - tree.point[:, :n], links[3:])
-        return _in_hinge_frames(topology, result, links[3:], moment, drive)
+        return _hinge_frame_loads(topology, result, links[3:], moment, drive)
 
 
 def chain_loads(
@@ -143,7 +143,7 @@ def moving_wrenches(
     """The wrenches of `chain_wrenches` for accelerations of the nodes in link axes, and what they follow from, both
     with the least of redundant reactions."""
     with jax.named_scope("chain_loads"):
-        inertial = beyond_elements(inertial_loads(actual, result.motion, angular, linear), result.frame_loads)
+        inertial = loads_beyond_elements(inertial_loads(actual, result.motion, angular, linear), result.frame_loads)
         at_cuts = None if result.laws is None else result.laws.cuts
         wrenches = chain_wrenches(actual, result.motion, result.closure, result.multipliers, inertial, at_cuts)
         return with_least_reactions(actual, result, wrenches)
@@ -171,15 +171,17 @@ def loads_of_wrenches(
     """Loads of all joints from the wrenches at the global origin of `chain_wrenches`."""
     links = jnp.stack(wrenches[: topology.n_links], axis=1)
     moment = links[:3] - cross(result.motion.hinges.point, links[3:])
-    return _in_hinge_frames(topology, result, links[3:], moment, drive)
+    return _hinge_frame_loads(topology, result, links[3:], moment, drive)
 
 
-def _in_hinge_frames(topology: Topology, result: Solved, force: Array, moment: Array, drive: DriveInput) -> JointLoads:
+def _hinge_frame_loads(
+    topology: Topology, result: Solved, force: Array, moment: Array, drive: DriveInput
+) -> JointLoads:
     """Loads of all joints in hinge frames from the forces and moments (3, L) of the tree joints about their
     centres, in global axes; those of cut joints from the multipliers."""
     rotation = result.motion.hinges.rotation
     for k, outside in outside_forces(topology, drive, result.laws):
-        force, moment = _without(topology, result.motion, k, outside, force, moment)
+        force, moment = _subtract_outside_forces(topology, result.motion, k, outside, force, moment)
     force, moment = apply_transposed(rotation, force), apply_transposed(rotation, moment)
     external = hinge_moments(topology, drive)
     if external is not None:
@@ -198,8 +200,8 @@ def _in_hinge_frames(topology: Topology, result: Solved, force: Array, moment: A
 
 
 def contact_loads(topology: Topology, result: Placed) -> JointLoads:
-    """What contacts contribute to the loads of joints with clearance: forces, and moments about the child's point, zero
-    at all other joints."""
+    """Part of the contacts in the loads of joints with clearance: forces, and moments about the child's point; zero at
+    all other joints."""
     joints, n = len(topology.joints), topology.n_links
     found = [jnp.zeros((3, joints)), jnp.zeros((3, joints))]
     for j in topology.clearances:
@@ -217,7 +219,7 @@ def contact_loads(topology: Topology, result: Placed) -> JointLoads:
 
 
 def _with_cut_forces(topology: Topology, joint: JointLoads, at_cuts: CutForces | None) -> JointLoads:
-    """Loads with the forces in cut joints, which are in the axes of L as they are."""
+    """Loads with the forces in cut joints, which are already in the axes of L."""
     parts = [*joint]
     for (at, component), value in (at_cuts or {}).items():
         here = np.zeros(joint.force.shape, bool)
@@ -227,7 +229,7 @@ def _with_cut_forces(topology: Topology, joint: JointLoads, at_cuts: CutForces |
     return JointLoads(*parts)
 
 
-def _without(
+def _subtract_outside_forces(
     topology: Topology, motion: Motion, k: int, outside: Array, force: Array, moment: Array
 ) -> tuple[Array, Array]:
     """Forces and moments (3, L) of the tree joints less what acts from outside along a joint coordinate."""
@@ -297,7 +299,7 @@ def cut_wrenches(
 
 
 def _rows(topology: Topology) -> list[slice]:
-    """Where the multipliers of every cut joint are."""
+    """Rows of the multipliers of every cut joint."""
     return [slice(rows.start, rows.stop) for rows in topology.constraints]
 
 
@@ -321,10 +323,11 @@ def inertial_loads(
     return force, apply(rotation, rate) + cross(centre, force)
 
 
-def beyond_elements(
+def loads_beyond_elements(
     inertial: tuple[Float[Array, "3 nodes"], Float[Array, "3 nodes"]], at_nodes: FrameLoads | None
 ) -> tuple[Float[Array, "3 nodes"], Float[Array, "3 nodes"]]:
-    """What `inertial_loads` leave for joints and springs of links to exert, beyond the force elements."""
+    """Inertial loads of the nodes without the part that force elements exert: joints and the springs of links carry
+    it."""
     if at_nodes is None:
         return inertial
     return inertial[0] - at_nodes.force, inertial[1] - at_nodes.moment
@@ -378,7 +381,7 @@ def has_tables_over_position(model: Model) -> bool:
     return any(isinstance(one, (TableLaw, TableBetween)) for one in (*laws, *elements))
 
 
-def known_work(actual: ModelWithErrors, state: State) -> Float[Array, ""] | None:
+def table_work(actual: ModelWithErrors, state: State) -> Float[Array, ""] | None:
     """Work [J] of tables over position, which is a function of the position, from any fixed one; None without any."""
     works = law_work(actual, state.position)
     if actual.frame_forces is not None:

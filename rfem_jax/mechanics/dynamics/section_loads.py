@@ -30,8 +30,8 @@ SAME_PLACE = 1e-9  # of the link's length
 
 
 class SectionLoads(NamedTuple):
-    """Of all sections of a link: place x (sections,) [m] along it, and (N, Q_y, Q_z) [N], (T, M_y, M_z) [N m]
-    (6, sections) in the axes of the section."""
+    """Internal loads at all sections of a link: place x (sections,) [m] along it, and (N, Q_y, Q_z) [N], (T, M_y, M_z)
+    [N m] (6, sections) in the axes of the section."""
 
     place: Float[Array, " sections"]
     resultants: Float[Array, "6 sections"]
@@ -39,8 +39,8 @@ class SectionLoads(NamedTuple):
 
 @runtime_checkable
 class Moving(Protocol):
-    """Of one instant: motion, accelerations (3, nodes) of the nodes in link axes, wrenches of all joints at the global
-    origin, and what force elements exert."""
+    """A mechanism at one instant: motion, accelerations (3, nodes) of the nodes in link axes, wrenches of all joints at
+    the global origin, and forces of the elements."""
 
     @property
     def motion(self) -> Motion: ...
@@ -69,7 +69,7 @@ class _Bodies(NamedTuple):
 
 
 class _Attachment(NamedTuple):
-    """What acts on a rfe: its number in the link, place x [m] along its axis, wrench (6,) at the global origin."""
+    """A load on a rfe: number of the rfe in the link, place x [m] along its axis, wrench (6,) at the global origin."""
 
     rfe: int
     x: Float[Array, ""]
@@ -91,11 +91,13 @@ def loads_of_sections(model: Model, actual: ModelWithErrors, state: State, now: 
             parts.append(((np.arange(n - 1) + 0.5) / (n - 1) * length, at_sdes))
         if sections:
             rfes = [rfe for rfe, _, _ in sections]
-            x = jnp.stack([_on_beam(actual, link, rfe, x) for rfe, x, _ in sections])
-            wrench = _known(actual, state, now, link, bodies, rfes)
-            wrench = wrench + _of_pieces(model, actual, link, bodies.at(rfes), _known_at(actual, link, rfes), x)
-            wrench = wrench + _between(attachments, sections, n, SAME_PLACE * length)
-            parts.append((x + _middles(actual, link, rfes), _in_section(bodies.at(rfes), x, wrench)))
+            x = jnp.stack([_beam_place(actual, link, rfe, x) for rfe, x, _ in sections])
+            wrench = _reference_loads(actual, state, now, link, bodies, rfes)
+            wrench = wrench + _piece_loads(
+                model, actual, link, bodies.at(rfes), _reference_positions(actual, link, rfes), x
+            )
+            wrench = wrench + _attachment_loads(attachments, sections, n, SAME_PLACE * length)
+            parts.append((x + _middles(actual, link, rfes), _section_resultants(bodies.at(rfes), x, wrench)))
         if not parts:
             return SectionLoads(jnp.zeros((0,)), jnp.zeros((6, 0)))
         return SectionLoads(*(jnp.concatenate(part, axis=-1) for part in zip(*parts, strict=True)))
@@ -120,8 +122,8 @@ def _length(actual: ModelWithErrors, link: int) -> Array:
     return actual.beam_middle[link] / rfe_fractions(actual.topology.elements[link])[1][0]
 
 
-def _on_beam(actual: ModelWithErrors, link: int, rfe: int, x: Array) -> Array:
-    """A place on the axis of an rfe [m], at the end of the link where it is beyond that."""
+def _beam_place(actual: ModelWithErrors, link: int, rfe: int, x: Array) -> Array:
+    """Place [m] on the axis of an rfe; a place beyond the end of the link is moved to that end."""
     n = actual.topology.elements[link]
     x = jnp.maximum(x, 0.0) if rfe == 0 else x
     if rfe < n - 1:
@@ -150,7 +152,7 @@ def _bodies_of(actual: ModelWithErrors, now: Moving, link: int) -> _Bodies:
 
 
 def _rfe_of(actual: ModelWithErrors, link: int, node: int) -> int | None:
-    """Number of a node among the rfes of a link, None if it is none of them."""
+    """Number of a node among the rfes of a link, None for a node of another link or of the base."""
     topology = actual.topology
     if node == BASE or topology.link_of(node) != link:
         return None
@@ -159,12 +161,12 @@ def _rfe_of(actual: ModelWithErrors, link: int, node: int) -> int | None:
 
 def _attachments(model: Model, actual: ModelWithErrors, now: Moving, link: int, bodies: _Bodies) -> list[_Attachment]:
     """All that acts on a link: joints, force elements, and the inertia and the weight of point masses."""
-    topology, found = actual.topology, []
+    topology, attachments = actual.topology, []
 
     def add(node: int, x: Array, wrench: Array) -> None:
         rfe = _rfe_of(actual, link, node)
         if rfe is not None:
-            found.append(_Attachment(rfe, x, wrench))
+            attachments.append(_Attachment(rfe, x, wrench))
 
     for j, wrench in enumerate(now.wrenches):
         add(topology.parents[j], actual.seat_position[0, j], -wrench)
@@ -180,11 +182,12 @@ def _attachments(model: Model, actual: ModelWithErrors, now: Moving, link: int, 
         rfe = _rfe_of(actual, link, node)
         if rfe is not None:
             place = jnp.concatenate([model.point_position[:1, k] * scale[None], model.point_position[1:, k]])
-            found.append(_Attachment(rfe, place[0], -_of_point_mass(model, actual, k, place, bodies.at([rfe]))))
-    return found
+            load = _point_mass_load(model, actual, k, place, bodies.at([rfe]))
+            attachments.append(_Attachment(rfe, place[0], -load))
+    return attachments
 
 
-def _of_point_mass(model: Model, actual: ModelWithErrors, k: int, place: Array, body: _Bodies) -> Array:
+def _point_mass_load(model: Model, actual: ModelWithErrors, k: int, place: Array, body: _Bodies) -> Array:
     """Rate of momentum minus weight of a point mass as a wrench (6,) at the global origin."""
     inertia = jnp.diag(model.point_inertia[:, k])
     if model.point_products is not None:
@@ -207,20 +210,23 @@ def _inertial_wrench(actual: ModelWithErrors, bodies: _Bodies, mass: Array, cent
 
 
 def _sections_beside(attachments: Sequence[_Attachment], n: int, length: Array) -> list[tuple[int, Array, int | None]]:
-    """Sections on both sides of all attachments, and inside a rigid link: rfe, place x [m] on it, and the attachment
-    that is just to the left (its number), or just to the right (minus one minus its number), None of neither."""
-    found: list[tuple[int, Array, int | None]] = []
+    """Sections on both sides of all attachments, and inside a rigid link.
+
+    **Returns:** for every section its rfe, its place x [m] there, and its attachment: number i of the attachment just
+    to the left, -1 - i for one just to the right, None where there is no attachment beside it.
+    """
+    sections: list[tuple[int, Array, int | None]] = []
     for i, one in enumerate(attachments):
-        found += [(one.rfe, one.x, -1 - i), (one.rfe, one.x, i)]
+        sections += [(one.rfe, one.x, -1 - i), (one.rfe, one.x, i)]
     if n == 1:
-        found += [(0, length * (k / RIGID_PARTS), None) for k in range(1, RIGID_PARTS)]
-    return found
+        sections += [(0, length * (k / RIGID_PARTS), None) for k in range(1, RIGID_PARTS)]
+    return sections
 
 
-def _between(
+def _attachment_loads(
     attachments: Sequence[_Attachment], sections: Sequence[tuple[int, Array, int | None]], n: int, near: Array
 ) -> Array:
-    """What the attachments between the known end of an rfe and a section change, as wrenches (6, sections)."""
+    """Loads of the attachments between the reference position of an rfe and a section, as wrenches (6, sections)."""
     columns = []
     for rfe, x, beside in sections:
         from_right = n > 1 and rfe == n - 1
@@ -237,23 +243,24 @@ def _between(
     return jnp.stack(columns, axis=1)
 
 
-def _known_at(actual: ModelWithErrors, link: int, rfes: Sequence[int]) -> Array:
-    """Where on the axes of rfes [m] the section's loads are known: at the link's ends, or at the sde on the left."""
+def _reference_positions(actual: ModelWithErrors, link: int, rfes: Sequence[int]) -> Array:
+    """Places on the axes of rfes [m] at which the internal loads are known before any sum: the ends of the link, where
+    there are none, and the sdes, which have the elastic force (`_reference_loads`)."""
     n, (first, _) = actual.topology.elements[link], actual.topology.ranges[link]
-    found = []
+    places = []
     for rfe in rfes:
         if rfe == 0:
-            found.append(jnp.zeros(()))
+            places.append(jnp.zeros(()))
         else:
             last = rfe == n - 1
-            found.append(actual.beam_middle[link] if last else actual.lever_right[first + rfe - 1])
-    return jnp.stack(found)
+            places.append(actual.beam_middle[link] if last else actual.lever_right[first + rfe - 1])
+    return jnp.stack(places)
 
 
-def _known(
+def _reference_loads(
     actual: ModelWithErrors, state: State, now: Moving, link: int, bodies: _Bodies, rfes: Sequence[int]
 ) -> Array:
-    """The known loads of `_known_at` as wrenches (6, sections) at the global origin: none at the ends of the link."""
+    """Internal loads at `_reference_positions` as wrenches (6, sections) at the global origin."""
     topology, n = actual.topology, actual.topology.elements[link]
     inner = [0 < rfe < n - 1 for rfe in rfes]
     if not any(inner):
@@ -262,17 +269,17 @@ def _known(
     axes = now.motion.links.rotation[:, :, link, None]
     force, moment = elasticity.wrenches_of_left(actual, state, now.motion.relative)
     zero, columns = jnp.zeros(6), []
-    of_left = vectors.wrench_at_origin(
+    elastic = vectors.wrench_at_origin(
         apply(axes, moment[:, first : first + n - 1]), apply(axes, force[:, first : first + n - 1]), bodies.point[:, 1:]
     )
     for rfe, is_inner in zip(rfes, inner, strict=True):
-        columns.append(-of_left[:, rfe - 1] if is_inner else zero)
+        columns.append(-elastic[:, rfe - 1] if is_inner else zero)
     return jnp.stack(columns, axis=1)
 
 
-def _of_pieces(model: Model, actual: ModelWithErrors, link: int, bodies: _Bodies, start: Array, stop: Array) -> Array:
-    """Rate of momentum minus weight of the pieces of beam from `start` to `stop` [m], negative where the latter is
-    smaller, as wrenches (6, n) at the global origin."""
+def _piece_loads(model: Model, actual: ModelWithErrors, link: int, bodies: _Bodies, start: Array, stop: Array) -> Array:
+    """Rate of momentum minus weight of the pieces of beam from `start` to `stop` [m], as wrenches (6, n) at the global
+    origin; negative where `stop` is smaller."""
     extent = stop - start
     mass = model.section.line_density[link] * extent
     middle, zero = 0.5 * (start + stop), jnp.zeros_like(start)
@@ -284,12 +291,12 @@ def _of_pieces(model: Model, actual: ModelWithErrors, link: int, bodies: _Bodies
 
 
 def _middles(actual: ModelWithErrors, link: int, rfes: Sequence[int]) -> Array:
-    """Where the reference points of rfes are along the undeformed link [m]."""
+    """Places [m] of the reference points of rfes along the undeformed link."""
     first, _ = actual.topology.ranges[link]
     return jnp.stack([jnp.zeros(()) if rfe == 0 else actual.rest[first + rfe - 1] for rfe in rfes])
 
 
-def _in_section(bodies: _Bodies, x: Array, wrench: Array) -> Array:
+def _section_resultants(bodies: _Bodies, x: Array, wrench: Array) -> Array:
     """Wrenches (6, n) at the global origin as forces and moments (6, n) about the section's centre in its axes."""
     place = bodies.point + bodies.rotation[:, 0] * x[None]
     force = wrench[3:]

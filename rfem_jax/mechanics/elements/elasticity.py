@@ -155,5 +155,5 @@ def _face(elastic: Array, lever: Array) -> Array:
 
 
 def _face_transposed(stress: Array, lever: Array) -> Array:
-    """The wrench at a rfe's middle of one at its face: (force, moment - force x (lever, 0, 0))."""
+    """Wrench at the middle of a rfe that is equivalent to one at its face: (force, moment - force x (lever, 0, 0))."""
     return stress + LEVER_CROSS_FORCE[:, None] * lever[None] * reorder(stress, EXCHANGED)

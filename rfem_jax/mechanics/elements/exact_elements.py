@@ -152,8 +152,8 @@ def wrenches(
 def on_both_rfes(
     actual: ModelWithErrors, deflected: ExactDeflections
 ) -> tuple[Float[Array, "3 rfes"], Float[Array, "3 2 rfes"]]:
-    """Of every sde the force [N] on its left rfe, minus that on its right one, and the moments [N m] on the right and
-    the left one at their middles, in link axes."""
+    """Force [N] of every sde on its left rfe (minus that on its right one), and its moments [N m] on the right and the
+    left rfe at their middles, in link axes."""
     force, couple, shared = _midway_loads(actual, deflected)
     in_link = jnp.stack([force, -couple - shared, couple - shared], axis=1)
     in_link = transposed_product(deflected.midway, in_link)

@@ -36,7 +36,7 @@ class LinearRange(NamedTuple):
 
 
 def linear_range(actual: ModelWithErrors, position: Coordinates) -> LinearRange:
-    """What linear elements leave out at one position; nothing with rigid links and geometrically exact elements."""
+    """Terms that linear elements neglect at one position; zero with rigid links and geometrically exact elements."""
     topology = actual.topology
     if topology.exact or not topology.n_rfes:
         return LinearRange(jnp.zeros(()), jnp.zeros((0,)), jnp.zeros((0,)))

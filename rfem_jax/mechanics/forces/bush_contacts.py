@@ -111,8 +111,8 @@ def require_memory(model: Model, method: str, implicit: bool) -> None:
 def contact_memory(
     actual: ModelWithErrors, motion: Motion, before: dict[str, ContactMemory] | None = None
 ) -> dict[str, ContactMemory]:
-    """What the contacts with restitution remember at one instant, by the joints, from the instant before (None: there
-    is none, and contacts that are closed began at no speed)."""
+    """Memory of the contacts with restitution at one instant, by joint. `before`: memory of the previous step; None at
+    the start, where closed contacts count as having no approach speed."""
     found = {}
     for name, pin in pins_of(actual).items():
         if pin.restitution is None:

@@ -22,8 +22,8 @@ from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 
 class Exerted(NamedTuple):
-    """What an element exerts: force [N] and moment [N m] (3,) on the child at its point, in global axes; place and
-    parent_place (3,) [m]: of both points."""
+    """Load of an element on its child: force [N] and moment [N m] (3,) at the child's point, in global axes; place and
+    parent_place (3,) [m]: both points."""
 
     force: Float[Array, "3"]
     moment: Float[Array, "3"]
@@ -83,7 +83,7 @@ def frame_loads(actual: ModelWithErrors, motion: Motion, time: Time | None) -> F
             for end, sign in ((element.child, 1.0), (element.parent, -1.0)):
                 if end.node == BASE:
                     continue
-                on_node = _at_node(topology, motion, end.node, sign * force, sign * moment, child.place)
+                on_node = _node_load(topology, motion, end.node, sign * force, sign * moment, child.place)
                 here = jnp.asarray(np.arange(nodes) == end.node, float)[None]
                 total = [sum + part[:, None] * here for sum, part in zip(total, on_node)]
                 wrench = wrench + sign * vectors.wrench_at_origin(moment, force, child.place)
@@ -161,10 +161,11 @@ def _placed(topology: Topology, motion: Motion, element: FrameForce) -> tuple[_E
     return ends[0], ends[1], pose_between(parent, child)
 
 
-def _at_node(
+def _node_load(
     topology: Topology, motion: Motion, node: int, force: Array, moment: Array, place: Array
 ) -> tuple[Array, Array]:
-    """Force and moment at a node's reference point in the axes of its link, of ones at a place in global axes."""
+    """Force and moment at a node's reference point in the axes of its link, equivalent to those at a place in global
+    axes."""
     n = topology.n_links
     link = motion.links.rotation[:, :, topology.link_of(node)]
     interfaces = motion.interfaces.point

@@ -67,7 +67,8 @@ def tree_friction(
     wrenches: Sequence[Float[Array, "6"]] | None,
     ahead: Ahead | None = None,
 ) -> Found:
-    """Friction in the joints of the tree; `wrenches` at the global origin in these joints (None: no load is known)."""
+    """Friction in the joints of the tree; `wrenches`: loads of these joints at the global origin, None before they are
+    computed."""
     found: Found = {}
     for name, law in _laws(actual):
         if law.coordinate is None:
@@ -90,7 +91,7 @@ def cut_friction(
     multipliers: Float[Array, " constraints"] | None,
     ahead: Ahead | None = None,
 ) -> Found:
-    """Friction in the cut joints; `multipliers` [N]: None where no load is known."""
+    """Friction in the cut joints; `multipliers` [N], None before they are computed."""
     found: Found = {}
     topology = actual.topology
     for name, law in _laws(actual):
@@ -167,8 +168,8 @@ def joint_wrenches(topology: Topology, cuts: Closure | None, forces: CutForces |
 
 
 class FrictionLine(NamedTuple):
-    """What an increment takes a friction for: a force [N, N m] at a rate [m/s, rad/s], and minus the slope from there;
-    needed: what it must be at this rate for the other forces, as far as the increment before knows them."""
+    """Straight line in the place of a friction law within one increment: the force [N, N m] at a rate [m/s, rad/s], and
+    minus its slope; needed: the friction at this rate that would balance the other forces of the increment before."""
 
     rate: Float[Array, ""]
     force: Float[Array, ""]

@@ -73,13 +73,13 @@ def law_forces(actual: ModelWithErrors, state: State) -> LawForces | None:
             if isinstance(law, SpringLaw):
                 side = inside
                 dissipated = dissipated + share * law.damping * rate**2
-            elif not _of_position_alone(law, actual.topology):
+            elif not _depends_on_position_alone(law, actual.topology):
                 if actual.topology.sprung:
                     rate = rate_about_axis(actual.topology, state, law.coordinate)
                 power = power + force * rate
             side[law.coordinate] = side[law.coordinate] + force if law.coordinate in side else force
         for spring in springs:
-            position, rate = _at(spring, state)
+            position, rate = _spring_motion(spring, state)
             inside |= dict(zip(spring.coordinates, spring.along(position, rate)))
             dissipated = dissipated - dot(spring.along(position, rate) - spring.along(position, 0.0 * rate), rate)
     return LawForces(inside, outside, dissipated, power)
@@ -90,7 +90,7 @@ def tree_springs(actual: ModelWithErrors) -> list[CompliantSpring]:
     return [spring for spring in (actual.springs or {}).values() if spring.coordinates]
 
 
-def _at(spring: CompliantSpring, state: State) -> tuple[Array, Array]:
+def _spring_motion(spring: CompliantSpring, state: State) -> tuple[Array, Array]:
     """Position and rate of the coordinates of a spring."""
     joints, rates = state.position.joints, state.velocity.joints
     return jnp.stack([joints[k] for k in spring.places]), jnp.stack([rates[k] for k in spring.coordinates])
@@ -121,11 +121,12 @@ def rate_about_axis(topology: Topology, state: State, k: int) -> Float[Array, ""
     return rate + jnp.sin(state.position.joints[tilted[0]]) * state.velocity.joints[tilted[1]]
 
 
-def about_parents_axes(
+def loads_about_parent_axes(
     topology: Topology, position: Coordinates, hinge: Float[Array, " freedoms"]
 ) -> Float[Array, " freedoms"]:
-    """Loads along the joint coordinates with those of the second axes of sprung tilts taken across the parents' axes,
-    so that what holds an angle is a moment about the parent's axis and none of its tilt (theory (13.5))."""
+    """Loads along the joint coordinates, with those of the second axes of sprung tilts resolved about the parents'
+    axes, so that a moment that holds an angle is one about the parent's axis, without a part of its tilt (theory
+    (13.5))."""
     for k in range(topology.n_freedoms if topology.sprung else 0):
         if (tilted := topology.tilted(k)) is not None:
             place, second = tilted
@@ -135,7 +136,7 @@ def about_parents_axes(
 
 
 def by_coordinate(topology: Topology, forces: dict[int, Float[Array, ""]]) -> Float[Array, " freedoms"]:
-    """Forces, of which there is at least one, of all joint coordinates, zero where none acts."""
+    """Array of forces by joint coordinate, zero for coordinates without a force; `forces` has at least one."""
     rows = np.arange(topology.n_freedoms)
     return reduce(jnp.add, [jnp.where(rows == k, force[None], 0.0) for k, force in forces.items()])
 
@@ -172,11 +173,11 @@ def law_work(actual: ModelWithErrors, position: Coordinates) -> list[Float[Array
     """Works [J] of the laws that depend on a joint's position alone, from any fixed one."""
     if actual.forces is None:
         return []
-    laws = [law for law in actual.forces.laws.values() if _of_position_alone(law, actual.topology)]
+    laws = [law for law in actual.forces.laws.values() if _depends_on_position_alone(law, actual.topology)]
     return [actual.forces.share * law.work(position.joints[law.place]) for law in laws]
 
 
-def _of_position_alone(law: JointLaw, topology: Topology) -> TypeGuard[TableLaw]:
+def _depends_on_position_alone(law: JointLaw, topology: Topology) -> TypeGuard[TableLaw]:
     """Whether the work of a law from outside is a function of its coordinate: of a table, where no sprung tilt turns
     what it acts about."""
     return isinstance(law, TableLaw) and not topology.sprung
@@ -195,6 +196,6 @@ def law_tangent(
         value = jnp.maximum(-jax.jvp(law.force, (position, rate), tuple(along))[1], 0.0)
         found[law.coordinate] = found[law.coordinate] + value if law.coordinate in found else value
     for spring in tree_springs(actual):
-        values = diagonal_tangent(spring.along, *_at(spring, state), q_factor, v_factor)
+        values = diagonal_tangent(spring.along, *_spring_motion(spring, state), q_factor, v_factor)
         found |= dict(zip(spring.coordinates, values))
     return found

@@ -51,9 +51,9 @@ from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 
 class ClosureMatrix(NamedTuple):
-    """Of the cut joints: units, wrenches (6, constraints) of unit multipliers by node; responses to them; inverse
-    of the multipliers' matrix; springs: of compliant cut joints, None without any.  Friction in cut joints has further
-    columns (theory (12.7))."""
+    """Part of the cut joints in the iteration matrix: units, wrenches (6, constraints) of unit multipliers by node;
+    responses to them; inverse of the multipliers' matrix; springs: those of compliant cut joints, None for models
+    without them. Friction in cut joints has further columns (theory (12.7))."""
 
     units: dict[int, Float[Array, "6 multipliers"]]
     responses: Response
@@ -85,8 +85,9 @@ class SpringRows(NamedTuple):
 
 
 class ElementMatrix(NamedTuple):
-    """Of the force elements: units, wrenches (6, k) of unit forces and moments by node; responses to them; gain (k, k):
-    what they exert per relative acceleration that there would be without them (theory (7.22))."""
+    """Part of the force elements in the iteration matrix: units, wrenches (6, k) of unit forces and moments by node;
+    responses to them; gain (k, k): the forces per relative acceleration that there would be without them (theory
+    (7.22))."""
 
     units: dict[int, Float[Array, "6 k"]]
     responses: Response

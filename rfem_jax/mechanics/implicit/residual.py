@@ -136,7 +136,7 @@ def evaluate_residual(
         spatial = spatial_accelerations(actual, motion, state, accelerations)
         angular, linear = _node_accelerations(topology, motion, spatial, accelerations)
         at_nodes = frame_loads(actual, motion, drive.time)
-        inertial = loads.beyond_elements(loads.inertial_loads(actual, motion, angular, linear), at_nodes)
+        inertial = loads.loads_beyond_elements(loads.inertial_loads(actual, motion, angular, linear), at_nodes)
         later = None if ahead is None else Ahead(ahead, accelerations.joints, spatial)
         in_cuts = cut_friction(actual, motion, cuts, multipliers, later)
         wrenches = loads.chain_wrenches(actual, motion, cuts, multipliers, inertial, cut_forces(actual, in_cuts))

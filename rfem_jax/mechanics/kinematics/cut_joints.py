@@ -82,8 +82,8 @@ class Constraints(eqx.Module):
 
 
 class SpringMultipliers(NamedTuple):
-    """Of the springs of compliant cut joints: their multipliers [N], zero in all other equations; the power [W] that
-    their dampers dissipate."""
+    """Multipliers [N] of the springs of compliant cut joints, zero in all other equations, and the power [W] that their
+    dampers dissipate."""
 
     multipliers: Float[Array, " constraints"]
     dissipated: Float[Array, ""]
@@ -156,10 +156,10 @@ class Closure(NamedTuple):
         """Rows (r, n) of all groups as one vector, all of the first cut joint first."""
         if len(parts) == 1:
             return jnp.swapaxes(parts[0], 0, 1).reshape(-1)
-        return jnp.concatenate(_in_order(self.groups, parts))
+        return jnp.concatenate(_ordered_columns(self.groups, parts))
 
 
-def _in_order(groups: Sequence[Constraints], parts: Sequence[Array]) -> list[Array]:
+def _ordered_columns(groups: Sequence[Constraints], parts: Sequence[Array]) -> list[Array]:
     """Columns of the last axis of all groups, in the order of the cut joints."""
     by_cut = {i: part[..., k] for group, part in zip(groups, parts) for k, i in enumerate(group.members)}
     return [by_cut[i] for i in sorted(by_cut)]
@@ -167,7 +167,7 @@ def _in_order(groups: Sequence[Constraints], parts: Sequence[Array]) -> list[Arr
 
 def columns(groups: Sequence[Constraints], parts: Sequence[Float[Array, "*k n"]]) -> Float[Array, "*k cuts"]:
     """Columns of all groups in the order of the cut joints."""
-    return parts[0] if len(parts) == 1 else jnp.stack(_in_order(groups, parts), axis=-1)
+    return parts[0] if len(parts) == 1 else jnp.stack(_ordered_columns(groups, parts), axis=-1)
 
 
 class _Side(NamedTuple):
@@ -232,13 +232,13 @@ def cut_springs(actual: ModelWithErrors) -> list[CompliantSpring]:
     return [spring for spring in (actual.springs or {}).values() if spring.rows]
 
 
-def _in_rows(parts: dict[int, Array], size: int) -> Float[Array, " constraints"]:
+def _scattered(parts: dict[int, Array], size: int) -> Float[Array, " constraints"]:
     """A vector with given entries, zero elsewhere."""
     return jnp.stack([parts.get(k, jnp.zeros(())) for k in range(size)])
 
 
 def _spring_multipliers(actual: ModelWithErrors, cuts: Closure, scale: Scalar) -> SpringMultipliers:
-    """What the springs of compliant cut joints exert (theory (13.6), (13.7))."""
+    """Forces of the springs of compliant cut joints (theory (13.6), (13.7))."""
     residual, rate = cuts.residual, cuts.rate
     found, dissipated = {}, jnp.zeros(())
     for spring in cut_springs(actual):
@@ -246,7 +246,7 @@ def _spring_multipliers(actual: ModelWithErrors, cuts: Closure, scale: Scalar) -
         exerted = spring.in_rows(at, moving, scale)
         found |= dict(zip(spring.rows, exerted))
         dissipated = dissipated - dot(exerted - spring.in_rows(at, 0.0 * moving, scale), moving)
-    return SpringMultipliers(_in_rows(found, residual.shape[0]), dissipated)
+    return SpringMultipliers(_scattered(found, residual.shape[0]), dissipated)
 
 
 def spring_row_tangent(
@@ -262,7 +262,7 @@ def spring_row_tangent(
         at = [jnp.stack([values[k] for k in spring.rows]) for values in (residual, rate)]
         tangent = diagonal_tangent(partial(_exerted, spring, scale), at[0], at[1], q_factor, v_factor)
         found |= dict(zip(spring.rows, tangent))
-    return _in_rows(found, residual.shape[0])
+    return _scattered(found, residual.shape[0])
 
 
 def _exerted(spring: CompliantSpring, scale: Scalar, residual: Array, rate: Array) -> Array:

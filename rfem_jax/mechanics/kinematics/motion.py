@@ -152,16 +152,16 @@ def _parent_frame(topology: Topology, relative: RelativeMotion, links: list[Fram
     if node < topology.n_links:
         return links[node]
     k = node - topology.n_links
-    rfe = jax.tree.map(lambda x: x[..., k], _in_link_frame(relative))
-    return _on_link(links[topology.link_of(node)], rfe)
+    rfe = jax.tree.map(lambda x: x[..., k], _link_frame_motion(relative))
+    return _rfe_frames(links[topology.link_of(node)], rfe)
 
 
-def _in_link_frame(relative: RelativeMotion) -> tuple[Array, Array, Array, Array]:
+def _link_frame_motion(relative: RelativeMotion) -> tuple[Array, Array, Array, Array]:
     """Rotation, position, angular and linear velocity."""
     return relative.rotation, relative.position, relative.angular, relative.linear
 
 
-def _on_link(link: Frames, in_link_frame: tuple[Array, Array, Array, Array]) -> Frames:
+def _rfe_frames(link: Frames, in_link_frame: tuple[Array, Array, Array, Array]) -> Frames:
     """Frames of rfes from those of their links and their motion relative to these."""
     rotation, position, angular, linear = in_link_frame
     point = link.point + apply(link.rotation, position)
@@ -173,9 +173,9 @@ def _on_link(link: Frames, in_link_frame: tuple[Array, Array, Array, Array]) -> 
 
 def _interface_frames(topology: Topology, relative: RelativeMotion, links: Frames) -> Frames:
     owners = [topology.link_of(topology.n_links + k) for k in topology.interfaces]
-    return _on_link(
+    return _rfe_frames(
         jax.tree.map(lambda x: columns(x, owners), links),
-        jax.tree.map(lambda x: columns(x, topology.interfaces), _in_link_frame(relative)),
+        jax.tree.map(lambda x: columns(x, topology.interfaces), _link_frame_motion(relative)),
     )
 
 

@@ -48,11 +48,11 @@ class Redundancy(NamedTuple):
         return invert_positive(onto @ matrix @ onto + size * self.open) - self.open / size
 
     def among(self, rows: np.ndarray) -> "Redundancy":
-        """The same of some of the multipliers, the others being of springs."""
+        """The redundancy of some of the multipliers; the others are those of springs."""
         return self._replace(open=self.open[np.ix_(rows, rows)])
 
     def beside(self, more: int) -> "Redundancy":
-        """The same with further multipliers, which the motion determines."""
+        """The redundancy with further multipliers, which the motion determines."""
         return self._replace(open=jnp.pad(self.open, ((0, more), (0, more)))) if more else self
 
 
@@ -64,7 +64,7 @@ def inverse_closure(
 
 
 def redundancy(topology: Topology, motion: Motion, cuts: Closure | None) -> Redundancy | None:
-    """What a model that asks for least reactions leaves open at one position; None of other models."""
+    """Redundant reactions at one position of a model that asks for the least ones; None for other models."""
     if cuts is None or cuts.scale is None:
         return None
     with jax.named_scope("redundancy"):

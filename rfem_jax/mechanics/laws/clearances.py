@@ -27,8 +27,8 @@ CONTACTS = 3
 
 
 class ContactMemory(NamedTuple):
-    """What contacts remember of their past: approach [m/s], the speed at which each began; depth [m] and rate [m/s] of
-    the last instant."""
+    """Memory of contacts: approach [m/s], the speed at which each began; depth [m] and rate [m/s] at the last
+    instant."""
 
     approach: Float[Array, "3"]
     depth: Float[Array, "3"]
@@ -146,9 +146,9 @@ class PinInBush(FrameForce):
             on_surface, arms, about_axis = self._friction(pin, contacts, normal)
             force = force + jnp.sum(on_surface, axis=1)
             moment = moment + jnp.sum(cross(arms, on_surface), axis=1) + about_axis
-        return self._on_child(pose, force, moment)
+        return self._child_load(pose, force, moment)
 
-    def _on_child(
+    def _child_load(
         self, pose: Pose, force: Float[Array, "3"], moment: Float[Array, "3"]
     ) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
         """Force and moment on the child at its point, in the parent's axes, of those on the pin at its middle in the
@@ -159,7 +159,7 @@ class PinInBush(FrameForce):
         return force, moment - cross(pose.position, force)
 
     def _sliding(self, pin: PinMotion, contacts: Contacts) -> tuple[Float[Array, "3 2"], Float[Array, "3 2"]]:
-        """Of the ends: velocities [m/s] of the pin's surface along the bush where they touch, and the arms [m] from the
+        """Velocities [m/s] of the pin's surface along the bush at the contacts of both ends, and the arms [m] from the
         pin's middle to these places."""
         assert self.radius is not None
         direction = contacts.direction[:, :2]

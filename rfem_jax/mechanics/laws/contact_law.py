@@ -23,7 +23,7 @@ SLOW = 1e-4  # of a squared speed over that of the smooth sign, below which tanh
 
 
 class Push(NamedTuple):
-    """What contacts push with [N], and the elastic part of it."""
+    """Normal forces [N] of contacts, and the elastic part of them."""
 
     normal: Float[Array, "*contacts"]
     elastic: Float[Array, "*contacts"]

@@ -84,8 +84,9 @@ class FrameForce(eqx.Module):
         return jnp.zeros_like(pose.position[0])
 
     def work(self, pose: Pose) -> Float[Array, ""] | None:
-        """Work [J] done from outside up to a pose, from any fixed one, of a force that depends on the position alone:
-        known without integration, it tells whether steps have seen the force (theory (11.8)). None of others."""
+        """Work [J] that a force from outside has done up to a pose, from any fixed one, if the force depends on the
+        position alone: it needs no integration, and tells whether steps have seen the force (theory (11.8)). None for
+        other forces."""
         del pose
         return None
 

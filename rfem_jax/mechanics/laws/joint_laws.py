@@ -120,7 +120,7 @@ def joint_law(force: JointForce, coordinate: int, place: int) -> JointLaw:
         return TableLaw(coordinate, place, *columns)
     if isinstance(force, JointForceFunction):
         return FunctionLaw(coordinate, place, force.function)
-    raise TypeError(f"{type(force).__name__} is no force that this model knows.")
+    raise TypeError(f"{type(force).__name__} is not a force that the mechanics knows; add its law here.")
 
 
 def law_derivatives(
@@ -132,5 +132,6 @@ def law_derivatives(
 
 
 def holds(law: JointLaw) -> bool:
-    """Whether a force may depend on the position: all but a damper without a spring; of numbers that are known."""
+    """Whether a force may depend on the position, as every law may but a damper without a spring; the law's numbers
+    must be concrete."""
     return not isinstance(law, SpringLaw) or float(law.stiffness) > 0.0

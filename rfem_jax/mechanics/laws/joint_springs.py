@@ -46,7 +46,7 @@ class CompliantSpring(eqx.Module):
         direction = jnp.stack([jnp.sin(p) * jnp.cos(s), cosine * jnp.sin(s)])
         # The second axis is across the parent's by the cosine of the first angle.
         across = jnp.stack([jnp.ones_like(cosine), cosine**2])
-        return -self._over_sine(_square_of_sine(p, s)) * direction - self.damping * across * rate
+        return -self._moment_over_sine(_square_of_sine(p, s)) * direction - self.damping * across * rate
 
     def in_rows(self, residual: Float[Array, " n"], rate: Float[Array, " n"], scale: Scalar) -> Float[Array, " n"]:
         """Multipliers [N] of the spring's closure equations at their residuals [m] and rates; `scale` [m] as in
@@ -56,7 +56,7 @@ class CompliantSpring(eqx.Module):
         bend, bend_rate = residual / scale, rate / scale
         square = jnp.sum(bend**2)
         across = bend_rate + bend * (jnp.sum(bend * bend_rate) / (1.0 - square))
-        spring = self._over_sine(square) / jnp.sqrt(1.0 - square) * bend
+        spring = self._moment_over_sine(square) / jnp.sqrt(1.0 - square) * bend
         return -(spring + self.damping * across) / scale
 
     def energy(self, position: Float[Array, " n"]) -> Float[Array, ""]:
@@ -83,7 +83,7 @@ class CompliantSpring(eqx.Module):
         size = sign * jnp.sqrt(jnp.where(none, ALMOST_ZERO, square))
         return self._table(size)[0] / size
 
-    def _over_sine(self, square: Float[Array, ""]) -> Float[Array, ""]:
+    def _moment_over_sine(self, square: Float[Array, ""]) -> Float[Array, ""]:
         """Moment over the sine of the tilt, by the square of the sine."""
         ratio = _angle_over_sine(square)
         if self.positions is None:

@@ -136,7 +136,7 @@ class TimeVector(eqx.Module):
 
 
 class ConstantVector(TimeVector):
-    """The same at all times."""
+    """A vector that is the same at all times."""
 
     values: Float[Array, "3"]
     times: tuple[float, ...] = eqx.field(static=True, default=())
@@ -234,7 +234,7 @@ def spring_between(force: BetweenPoints, parent: NodeFrame, child: NodeFrame) ->
         return TableBetween(parent, child, *(jnp.asarray(x, jnp.float64) for x in (force.lengths, force.forces)))
     if isinstance(force, PointSpringFunction):
         return FunctionBetween(parent, child, force.function)
-    raise TypeError(f"{type(force).__name__} is no force that this model knows.")
+    raise TypeError(f"{type(force).__name__} is not a force that the mechanics knows; add its law here.")
 
 
 def load_at(force: AtPoint, base: NodeFrame, child: NodeFrame) -> GivenLoad:

@@ -46,8 +46,8 @@ def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = Fa
 
 
 class PartStructure(NamedTuple):
-    """What of a mechanism does not change with its numbers: topology; points: nodes of the ends of the forces at
-    points, by their names; products: whether point masses may have products of inertia."""
+    """The part of a mechanism that does not change with its numbers: topology; points: nodes of the ends of the forces
+    at points, by their names; products: whether point masses may have products of inertia."""
 
     topology: Topology
     points: ForceNodes
@@ -55,7 +55,7 @@ class PartStructure(NamedTuple):
 
 
 def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], exact: bool) -> PartStructure:
-    """Which rigid bodies there are and what is on each."""
+    """Topology of the parts: the rigid bodies, and the joints, masses and forces on each."""
     links = [mechanism.link(joint.child) for joint in mechanism.tree_joints]
     discretised = _Links(tuple(links), tuple(elements[link.name] for link in links))
     tree = {joint.child: joint for joint in parts.joints if not joint.cut}
@@ -90,7 +90,7 @@ def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], 
 
 
 def arrays_of(parts: Parts, structure: PartStructure) -> Model:
-    """The arrays of parts whose numbers may be traced, in a structure that was found with other numbers."""
+    """Arrays of parts whose numbers may be traced; the structure may come from other numbers."""
     topology, points, products = structure
     links = [parts.link(name) for name in topology.links]
     joints = [parts.joint(name) for name in topology.joints]
@@ -104,11 +104,11 @@ def arrays_of(parts: Parts, structure: PartStructure) -> Model:
         length=_array([link.length for link in links]),
         section=_sections(links),
         parent_rotation=_rotations([j.orientation for j in joints]),
-        parent_position=_columns([_in_node(topology, links, node, j.position, True) for j, node in seats]),
+        parent_position=_columns([_node_place(topology, links, node, j.position, True) for j, node in seats]),
         child_rotation=_rotations([j.child_orientation for j in joints]),
-        child_position=_columns([_in_node(topology, links, node, j.child_position, j.cut) for j, node in bores]),
+        child_position=_columns([_node_place(topology, links, node, j.child_position, j.cut) for j, node in bores]),
         point_mass=_array([mass.mass for mass in masses]),
-        point_position=_columns([_in_node(topology, links, node, mass.position, False) for node, mass in held]),
+        point_position=_columns([_node_place(topology, links, node, mass.position, False) for node, mass in held]),
         point_inertia=_columns([mass.inertia for mass in masses]),
         start_joints=_array([value for values in start for value in values]),
         cut_angles=_array([0.0] * (len(joints) - len(links))),
@@ -245,7 +245,7 @@ def _frame_forces(parts: Parts, topology: Topology, links: Sequence[Link], point
             continue
         frames = []
         for node, (_, place) in zip(nodes[force.name], force.ends(), strict=True):
-            position = jnp.asarray(array_of(_in_node(topology, links, node, place, False)))
+            position = jnp.asarray(array_of(_node_place(topology, links, node, place, False)))
             frames.append(NodeFrame(node, unit, position))
         if isinstance(force, BetweenPoints):
             found[force.name] = spring_between(force, *frames)
@@ -255,7 +255,7 @@ def _frame_forces(parts: Parts, topology: Topology, links: Sequence[Link], point
     return found
 
 
-def _in_node(
+def _node_place(
     topology: Topology, links: Sequence[Link], node: int, position: Sequence[Number] | None, at_end: bool
 ) -> list[Number]:
     """A place in the frame of the node that holds it [m]; None: the end of its link (`at_end`) or its start."""
@@ -326,7 +326,8 @@ def _start(joint: Joint, kind: JointKind) -> list[Number]:
 
 
 def _start_rates(joints: Sequence[Joint], topology: Topology) -> Array | None:
-    """Initial rates of the coordinates of the tree joints, zero where none is given; None if nowhere."""
+    """Initial rates of the coordinates of the tree joints, zero where none is given; None for a mechanism without
+    initial rates."""
     if all(rate is None for joint in joints for rate in joint.start_rates):
         return None
     values: list[Number] = [0.0] * topology.n_freedoms
@@ -360,7 +361,7 @@ def _array(values: Sequence[Number]) -> Array:
 
 
 def _edge(link: Link) -> Array | None:
-    """Stresses at the edge of a link's section per unit of its loads; None where the edge is not known."""
+    """Stresses at the edge of a link's section per unit of its loads; None if the section does not give its edge."""
     points = () if link.section is None else link.section.edge_stresses()
     return jnp.asarray(array_of([list(point) for point in points]).T, jnp.float64) if points else None
 

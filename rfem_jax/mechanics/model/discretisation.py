@@ -126,8 +126,8 @@ def _with_idle(model: Model) -> Model:
 
 
 def _closed_as_given(model: Model, given: Float[np.ndarray, " numbers"]) -> Model:
-    """The closed model, closed once more from the start that the description gives, with the coordinates that stand for
-    freedoms that no drive holds as they are there, if the loops close so as well."""
+    """The closed model, closed once more from the start that the description gives: coordinates that stand for freedoms
+    without a drive keep their values, if the loops close so as well."""
     if model.topology.n_cuts == 0:
         return model
     topology = with_start_freedoms(_with_idle(model), {})
@@ -170,7 +170,7 @@ def _require_apart(model: Model) -> None:
     """Raise InputError for a force between points that coincide at the start: it has no direction."""
     geometry = geometry_of(model)
     placed = place(geometry, np.asarray(model.start_joints))
-    for name, law in _between_points(model).items():
+    for name, law in _point_pair_forces(model).items():
         one, other = _places(geometry, placed, law)
         if not np.linalg.norm(other - one) > SMALLEST_DISTANCE * geometry.scale:
             raise InputError(
@@ -179,7 +179,7 @@ def _require_apart(model: Model) -> None:
             )
 
 
-def _between_points(model: Model) -> dict[str, PointLaw]:
+def _point_pair_forces(model: Model) -> dict[str, PointLaw]:
     """The forces along the line of two points."""
     return {name: law for name, law in (model.frame_forces or {}).items() if isinstance(law, PointLaw)}
 
@@ -217,7 +217,7 @@ def describe(model: Model) -> Structure:
 
 
 def start_held(topology: Topology) -> StartHeld:
-    """What the start of a simulation holds."""
+    """Kind of the start of a simulation, and the coordinates that it holds."""
     undriven = () if topology.settles else topology.undriven
     named = (tuple(map(topology.label_of, some)) for some in (topology.held, undriven, topology.rated))
     return StartHeld(EQUILIBRIUM if topology.settles else AS_GIVEN, *named)
@@ -242,7 +242,7 @@ def _idle_coordinates(model: Model) -> dict[int, str]:
         for k in topology.coordinates[l]:
             twists[l, :, k] += units[k] * placed.twists[k]
     twists[:, 3:] /= geometry.scale
-    stretched = [_stretching(model, placed, law, twists) for law in _between_points(model).values()]
+    stretched = [_stretching(model, placed, law, twists) for law in _point_pair_forces(model).values()]
     held = [closure_jacobian(geometry, placed)[:, : topology.n_freedoms], sprung, *stretched]
     free = null_space(np.vstack(held))
     if free.shape[1] == 0:

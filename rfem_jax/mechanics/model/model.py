@@ -53,7 +53,7 @@ class Coordinates(eqx.Module):
 
 
 class State(eqx.Module):
-    """Where the mechanism is now: coordinates and their rates."""
+    """Coordinates and rates of the mechanism at one instant."""
 
     position: Coordinates
     velocity: Coordinates
@@ -157,8 +157,8 @@ class Topology(NamedTuple):
         return tuple(k for k in range(self.n_freedoms) if k not in own) if self.sprung else ()
 
     def tilted(self, coordinate: int) -> tuple[int, int] | None:
-        """Of the angle of a tree joint that turns about one axis and whose tilt is sprung: the place in the position of
-        the first angle of the tilt, and the rate of the second; None of other coordinates."""
+        """The place in the position of the first angle of a sprung tilt, and the rate of the second, for the angle of a
+        tree joint that turns about one axis; None for other coordinates."""
         link = self.link_of_freedom[coordinate]
         kind = self.kind(link)
         if kind.ball or kind.nominal.angles != 1 or kind.angles != 3 or coordinate != self.coordinates[link].stop - 3:
@@ -167,12 +167,13 @@ class Topology(NamedTuple):
 
     @property
     def sprung_rows(self) -> tuple[bool, ...]:
-        """Which closure equations of the cut joints are laws of springs; () if none is."""
+        """For every closure equation of the cut joints whether it is the law of a spring; () for models without such
+        springs."""
         rows = [self._sprung_rows(j) for j in self.cuts] if self.sprung else []
         return tuple(row for joint in rows for row in joint) if any(any(joint) for joint in rows) else ()
 
     def _sprung_rows(self, cut: int) -> list[bool]:
-        """Which closure equations of one cut joint are laws of springs."""
+        """For every closure equation of one cut joint whether it is the law of a spring."""
         kind = self.kind(cut)
         tilts = any(motion[0] == "R" for motion in self.sprung[cut])
         across = kind.nominal.across
@@ -190,7 +191,7 @@ class Topology(NamedTuple):
 
     @property
     def slides(self) -> tuple[bool, ...]:
-        """Which coordinates of the tree joints are displacements."""
+        """For every coordinate of the tree joints whether it is a displacement."""
         return tuple(not freedom.rotation for freedom in self.freedoms)
 
     @property
@@ -252,7 +253,8 @@ class Topology(NamedTuple):
         return self.held if self.settles else (*self.held, *self.undriven)
 
     def label_of(self, coordinate: int) -> str:
-        """Name of a coordinate for people: "A", "C.T_y" of a joint with several, "S.R_x" of one about any axis."""
+        """Name of a coordinate for people: "A"; "C.T_y" in a joint with several coordinates; "S.R_x" in a joint that
+        turns about any axis."""
         joint = self.link_of_freedom[coordinate]
         freedom = self.freedoms[coordinate]
         motion = f"{'TR'[freedom.rotation]}_{'xyz'[freedom.axis]}"
@@ -289,7 +291,7 @@ class Topology(NamedTuple):
 
     @property
     def error_components(self) -> tuple[str, ...]:
-        """Errors of one side of a joint that any joint may have, on either side."""
+        """Names of the errors of one side of a joint, of all that any joint of the model may have."""
         sides = [self.kind(j).errors(child) for j in range(len(self.joints)) for child in (False, True)]
         known = {name for side in sides for name in side} | {"delta_x", "delta_z", "d_x", "d_y", "d_z"}
         return tuple(name for name in (*COMPONENTS[:1], *COMPONENTS[2:], COMPONENTS[1]) if name in known)

@@ -48,7 +48,7 @@ class Placed(NamedTuple):
 
 
 class Gaps(NamedTuple):
-    """How far the loops are open: residual, lengths over the longest link, alignment (C,) and angle (C,) [rad] as in
+    """Openings of the loops: residual, lengths over the longest link; alignment (C,) and angle (C,) [rad] as in
     `cut_joints.Closure`."""
 
     residual: Float[np.ndarray, "*t constraints"]

@@ -61,7 +61,7 @@ def moved(topology: Topology, position: Coordinates, change: Coordinates) -> Coo
     def turned(q, theta):
         return product(exponential(theta), q)
 
-    return Coordinates(_by_joint(topology, position.joints, change.joints, jnp.add, turned), elastic)
+    return Coordinates(_map_joints(topology, position.joints, change.joints, jnp.add, turned), elastic)
 
 
 def position_rate(topology: Topology, position: Coordinates, velocity: Coordinates) -> Coordinates:
@@ -72,7 +72,7 @@ def position_rate(topology: Topology, position: Coordinates, velocity: Coordinat
     def rate(q, w):
         return 0.5 * product(jnp.concatenate([jnp.zeros_like(w[:1]), w]), q)
 
-    joints = _by_joint(topology, position.joints, velocity.joints, lambda _, v: v, rate)
+    joints = _map_joints(topology, position.joints, velocity.joints, lambda _, v: v, rate)
     return Coordinates(joints, velocity.elastic)
 
 
@@ -95,7 +95,7 @@ def rates_of(topology: Topology, position: Coordinates, derivative: Coordinates)
     return Coordinates(jnp.concatenate(parts), derivative.elastic)
 
 
-def _by_joint(topology: Topology, position: Array, tangent: Array, of_plain, of_ball) -> Array:
+def _map_joints(topology: Topology, position: Array, tangent: Array, of_plain, of_ball) -> Array:
     """Joint by joint `of_plain`(position, tangent) of plain numbers, `of_ball`(quaternion, three rates) of the
     others, of all in one vector."""
     parts = []

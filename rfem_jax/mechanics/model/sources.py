@@ -62,7 +62,7 @@ class Blueprint:
 
     @cached_property
     def key(self) -> str:
-        """Of its content; of itself where that is not known, because it holds a function of the user."""
+        """Key of equal content; the blueprint itself if it holds a function of the user, whose content is unknown."""
         content = self.parts, self.names.all, self.points, self.products, self.closing_tolerance
         try:
             return keys.digest_value(content)
@@ -120,12 +120,12 @@ def source_of(parts: Parts, held: Sequence[tuple[str, str]], points: ForceNodes,
     names = named_parameters(parts, held)
     numbers = [parameter.value_in(parts) for parameter in names.all]
     paths = [path for parameter in names.all if not parameter.factor for path in parameter.paths]
-    blank = with_numbers(_without_results(parts), dict.fromkeys(paths, NOTHING))
+    blank = with_numbers(_drop_derived_numbers(parts), dict.fromkeys(paths, NOTHING))
     blueprint = Blueprint(blank, names, points, products, CLOSING_TOLERANCE, tuple(numbers))
     return Source(jnp.asarray(array_of(numbers), jnp.float64), blueprint)
 
 
-def _without_results(parts: Parts) -> Parts:
+def _drop_derived_numbers(parts: Parts) -> Parts:
     """Without numbers that follow from others: derived shear factors, and start values, which loops or drives set."""
     links, joints = [], []
     for link in parts.links:
@@ -138,10 +138,10 @@ def _without_results(parts: Parts) -> Parts:
                 joint = with_number(joint, (name,), zero)
         # Its springs are parts of their own.
         joints.append(with_number(joint, ("compliance",), None))
-    return replace(parts, links=tuple(links), joints=tuple(joints), forces=tuple(map(_without_arrays, parts.forces)))
+    return replace(parts, links=tuple(links), joints=tuple(joints), forces=tuple(map(_zero_arrays, parts.forces)))
 
 
-def _without_arrays(force: Force) -> Force:
+def _zero_arrays(force: Force) -> Force:
     """A force with zeros for the arrays that a function of the user holds, which may be traced and are the model's."""
     for name in vars(force):
         if callable(function := getattr(force, name)):

@@ -35,13 +35,13 @@ def with_start_freedoms(model: Model, rates: dict[int, str]) -> Topology:
     motions = _motions(model)
     rated, undriven = [], []
     for k in topology.held:
-        motions = _held(motions, k)
+        motions = _hold_coordinate(motions, k)
         if k in rates:
             rated.append(k)
     for k in (k for k in rates if k not in rated):
         if not np.linalg.norm(motions[k]) > DEPENDENT:
             raise _dependent(topology, rates[k], (*topology.held, *undriven))
-        motions = _held(motions, k)
+        motions = _hold_coordinate(motions, k)
         undriven.append(k)
         rated.append(k)
     idle = []
@@ -49,14 +49,14 @@ def with_start_freedoms(model: Model, rates: dict[int, str]) -> Topology:
         # Where a rate is given of the same freedom, its coordinate stands for it.
         same = [one for one in undriven if topology.link_of_freedom[one] == topology.link_of_freedom[k]]
         if np.linalg.norm(motions[k]) > DEPENDENT or not same:
-            motions = _held(motions, k)
+            motions = _hold_coordinate(motions, k)
             undriven.append(k)
             same = [k]
         idle.append(same[0])
     order = _file_order(topology)
     while (sizes := np.linalg.norm(motions, axis=1)).max(initial=0.0) > DEPENDENT:
         k = next(k for k in order if sizes[k] >= SHARE * sizes[order].max())
-        motions = _held(motions, k)
+        motions = _hold_coordinate(motions, k)
         undriven.append(k)
     return topology._replace(undriven=tuple(undriven), rated=tuple(sorted(rated)), idle=tuple(idle))
 
@@ -73,14 +73,14 @@ def _motions(model: Model) -> Float[np.ndarray, "freedoms motions"]:
 
 
 def _own(topology: Topology) -> Bool[np.ndarray, " freedoms"]:
-    """Which coordinates are no springs."""
+    """For every coordinate whether it is a joint's own, and not that of a spring."""
     found = np.ones(topology.n_freedoms, dtype=bool)
     found[list(topology.sprung_coordinates)] = False
     return found
 
 
-def _held(motions: Float[np.ndarray, "freedoms motions"], k: int) -> Float[np.ndarray, "freedoms motions"]:
-    """What is left of motions with a coordinate held."""
+def _hold_coordinate(motions: Float[np.ndarray, "freedoms motions"], k: int) -> Float[np.ndarray, "freedoms motions"]:
+    """Motions that remain possible when a coordinate is held."""
     size = np.linalg.norm(motions[k])
     if not size > 0.0:
         return motions

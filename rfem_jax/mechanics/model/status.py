@@ -69,7 +69,7 @@ STATUS: tuple[Status, ...] = (
     ),
     Status(
         "design_out_of_range",
-        "A number of the design, or what an error makes of it, cannot be (a length, a dimension of a section or a "
+        "A number of the design, or what an error makes of it, is impossible (a length, a dimension of a section or a "
         "stiffness that is not positive, a tilt of more than half a turn), or a joint, a mass or a force lies further "
         "from the rigid finite element that holds it than half of one; correct the number, or describe the mechanism "
         "anew. The nominal one was computed instead.",
@@ -83,7 +83,7 @@ STATUS: tuple[Status, ...] = (
     Status(
         "past_limit",
         "The drive prescribes a position at which the loops do not close: the mechanism locks there, whatever the step "
-        "(`rfem-jax check` says when and where). Prescribe less of a way, or change lengths and positions.",
+        "(`rfem-jax check` says when and where). Prescribe a shorter way, or change lengths and positions.",
     ),
     Status(
         "cannot_close",
@@ -93,7 +93,8 @@ STATUS: tuple[Status, ...] = (
     ),
     Status(
         "no_equilibrium",
-        "The rigid links have no static equilibrium that can be found: nothing holds a freedom, as of a body that "
+        "The rigid links have no static equilibrium that can be found: nothing holds a freedom, such as that of a body "
+        "that "
         'slides down a guide or hangs on a ball joint alone. Let it start as given (start = "as_given"), or hold it by '
         "a spring or a drive.",
     ),

@@ -80,6 +80,6 @@ def _masses(model: Any) -> np.ndarray | None:
 
 
 def _numbers(values: Any) -> np.ndarray | None:
-    """Values of one model; None of a batch, and of what has no values."""
+    """Values of one model; None for a batch of models, and for a part without values."""
     known = isinstance(values, (np.ndarray, jax.Array)) and not isinstance(values, Tracer)
     return np.array(values, dtype=float) if known and np.ndim(values) == 1 else None

@@ -122,7 +122,7 @@ def require_errors_of(topology: Topology, errors: AssemblyErrors) -> None:
 
 
 def sum_of(errors: AssemblyErrors, more: AssemblyErrors) -> AssemblyErrors:
-    """Both errors together, any parameter of which may deviate in one of them alone."""
+    """Sum of two sets of errors; a parameter may deviate in one of them alone."""
     first, second = errors.parameters or {}, more.parameters or {}
     both = {
         name: first.get(name, 0.0) + second.get(name, 0.0) for name in (*first, *(n for n in second if n not in first))
@@ -149,7 +149,7 @@ def _locate(topology: Topology, name: str) -> tuple[str, int | tuple[int, int]]:
     """Field of `AssemblyErrors` and place in it of a named error."""
     if name not in topology.error_names:
         raise InputError(
-            f"Argument `errors` must name errors of the model, but has {name!r}; "
+            f"Argument `errors` must name errors of the model, but {name!r} is not one; "
             f"{suggestion(name, topology.error_names)}"
         )
     owner, *middle, kind = name.split(".")
@@ -207,8 +207,8 @@ class ModelWithErrors(eqx.Module):
 
 
 def require_possible(model: Model, errors: AssemblyErrors) -> None:
-    """Raise InputError for errors of which a link would have no length, or that turn anything by more than half a turn,
-    where they are concrete numbers; a traced one has a status."""
+    """Raise InputError for errors that leave a link no length, or that turn anything by more than half a turn, if they
+    are concrete numbers; traced errors have a status instead."""
     topology = model.topology
     leaves = model.length, errors.length, errors.seat, errors.bore, errors.pin, errors.twist
     if any(isinstance(leaf, Tracer) for leaf in leaves):
@@ -316,12 +316,12 @@ def _frame_forces(
             j, ends = at_joints[name], (element.parent, element.child)
             frames = [NodeFrame(end.node, side[0][:, :, j], side[1][:, j]) for end, side in zip(ends, sides)]
         else:
-            frames = [_on_scaled(topology, frame, scale) for frame in (element.parent, element.child)]
+            frames = [_scaled_frame(topology, frame, scale) for frame in (element.parent, element.child)]
         elements[name] = eqx.tree_at(lambda one: (one.parent, one.child), element, tuple(frames))
     return FrameForceSet(elements, jnp.ones(()))
 
 
-def _on_scaled(topology: Topology, frame: NodeFrame, scale: Array) -> NodeFrame:
+def _scaled_frame(topology: Topology, frame: NodeFrame, scale: Array) -> NodeFrame:
     """A frame on a link that became `scale` times as long."""
     if frame.node == BASE:
         return frame
@@ -340,8 +340,8 @@ def _start_angles(model: Model) -> Float[Array, " joints"]:
 
 
 def with_structural_zeros(actual: ModelWithErrors) -> ModelWithErrors:
-    """The same constants; entries that are zero for all numbers and errors are constants of the program, in which a
-    kernel leaves out what is multiplied by them.
+    """The constants with entries that are zero for all numbers and errors as constants of the program: a kernel leaves
+    out the products with them.
 
     A segment's centre of mass lies on its axis and its inertia is diagonal, unless it has a point mass.
     """
@@ -370,9 +370,9 @@ def _side(
     """Frames of all joints on one side: nominal frame, stretched and twisted link, error."""
     link = np.array([0 if node < 0 else topology.link_of(node) for node in nodes])
     on_link = np.array([node >= 0 for node in nodes])
-    stretch = jnp.where(on_link, _at_links(scale, link), 1.0)
+    stretch = jnp.where(on_link, _link_values(scale, link), 1.0)
     position = jnp.concatenate([position[:1] * stretch[None], position[1:]])
-    twisted = vectors.rotation_x(jnp.where(on_link & np.array(at_end), _at_links(twist, link), 0.0))
+    twisted = vectors.rotation_x(jnp.where(on_link & np.array(at_end), _link_values(twist, link), 0.0))
     rotation = vectors.product(twisted, rotation)
     tilt = vectors.rotation_x(error[0])
     if "delta_y" in topology.error_components:
@@ -388,19 +388,21 @@ def _bodies(
     topology = model.topology
     n_links, nodes = topology.n_links, topology.n_links + topology.n_rfes
     link, share, middle = _node_fractions(topology)
-    lengths = _at_links(length, link)
+    lengths = _link_values(length, link)
     extent = share * lengths
-    density, rotary = _at_links(model.section.line_density, link), _at_links(model.section.rotary, link)
+    density, rotary = _link_values(model.section.line_density, link), _link_values(model.section.rotary, link)
     mass = density * extent
     slender = jnp.asarray(np.array([0.0, 1.0, 1.0]))[:, None] * (mass * extent**2 / 12.0)[None]
     principal = slender + rotary * extent[None]
     is_root = np.arange(nodes) < n_links
     axial = jnp.where(is_root, middle * lengths, 0.0)
-    beam_centre = _along_x(axial)
+    beam_centre = _x_vectors(axial)
 
     holder = np.array(topology.masses, dtype=int)
     holder_link = np.array([topology.link_of(node) for node in topology.masses], dtype=int)
-    point = jnp.concatenate([model.point_position[:1] * _at_links(scale, holder_link)[None], model.point_position[1:]])
+    point = jnp.concatenate(
+        [model.point_position[:1] * _link_values(scale, holder_link)[None], model.point_position[1:]]
+    )
     # Sums at the nodes that hold them, by products: additions at places would be scatters.
     onto = (holder[:, None] == np.arange(nodes)).astype(float)
     total = mass + model.point_mass @ onto
@@ -452,22 +454,22 @@ def _spring_damping_elements(model: Model, length: Array) -> dict[str, Array]:
     left = np.concatenate([x[:-1] for x in middles]) if middles else np.zeros(0)
     right = np.concatenate([x[1:] for x in middles]) if middles else np.zeros(0)
     place = (index + 0.5) / np.maximum(count, 1.0)
-    extent = _at_links(length, link)
+    extent = _link_values(length, link)
     return {
         "rest": jnp.asarray(right) * extent,
-        "stiffness": _at_links(model.section.stiffness, link) * (count / extent)[None],
-        "damping": _at_links(model.section.damping, link),
+        "stiffness": _link_values(model.section.stiffness, link) * (count / extent)[None],
+        "damping": _link_values(model.section.damping, link),
         "lever_left": jnp.asarray(place - left) * extent,
         "lever_right": jnp.asarray(place - right) * extent,
     }
 
 
-def _at_links(values: Float[Array, "*k links"], links: Int[np.ndarray, " n"]) -> Float[Array, "*k n"]:
+def _link_values(values: Float[Array, "*k links"], links: Int[np.ndarray, " n"]) -> Float[Array, "*k n"]:
     """Values of given links, by a product: the transpose of an index would be an addition at places."""
     return values @ (np.arange(values.shape[-1])[:, None] == links).astype(float)
 
 
-def _along_x(values: Array) -> Array:
+def _x_vectors(values: Array) -> Array:
     """Vectors (3, n) along x."""
     zero = jnp.zeros_like(values)
     return jnp.stack([values, zero, zero])

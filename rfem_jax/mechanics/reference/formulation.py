@@ -41,7 +41,7 @@ def _transform(rotation: ArrayLike, position: ArrayLike) -> Array:
     return jnp.concatenate([top, np.array([[0.0, 0.0, 0.0, 1.0]])])
 
 
-def _about(axis: int, angle: Array) -> Array:
+def _rotation_about(axis: int, angle: Array) -> Array:
     """Rotation about a coordinate axis."""
     along, turning = np.zeros((3, 3)), np.zeros((3, 3))
     i, j = (axis + 1) % 3, (axis + 2) % 3
@@ -83,7 +83,7 @@ def transforms(
         for freedom, k in zip(topology.kind(l).freedoms[: topology.plain(l)], at):
             q = position.joints[k]
             along = _transform(np.eye(3), np.eye(3)[freedom.axis] * q)
-            hinge = hinge @ (_transform(_about(freedom.axis, q), np.zeros(3)) if freedom.rotation else along)
+            hinge = hinge @ (_transform(_rotation_about(freedom.axis, q), np.zeros(3)) if freedom.rotation else along)
         if topology.kind(l).ball:
             rotation = _turned(position.joints[at.stop - 4 : at.stop])
             if change is not None:
@@ -95,10 +95,10 @@ def transforms(
         frames[l] = hinge @ jnp.linalg.inv(bore[l])
         for k in range(a, b):
             x, y, z, phi_x, phi_y, phi_z = position.elastic[:, k]
-            outer = _about(2, phi_z) @ _about(1, phi_y)
+            outer = _rotation_about(2, phi_z) @ _rotation_about(1, phi_y)
             if topology.exact:
-                outer = _about(1, phi_y) @ _about(2, phi_z)
-            rotation = outer @ _about(0, phi_x)
+                outer = _rotation_about(1, phi_y) @ _rotation_about(2, phi_z)
+            rotation = outer @ _rotation_about(0, phi_x)
             rest = np.array([1.0, 0.0, 0.0]) * actual.rest[k]
             relative = _transform(rotation, rest + jnp.stack([x, y, z]))
             frames[topology.n_links + k] = frames[l] @ relative
@@ -142,17 +142,17 @@ def exact_deflections(actual: ModelWithErrors, frames: Float[Array, "nodes 4 4"]
     for l, (a, b) in enumerate(topology.ranges):
         for k in range(a, b):
             right.append(topology.n_links + k)
-            right_face.append(_along(actual.lever_right[k]))
+            right_face.append(_shift_along_x(actual.lever_right[k]))
             # The first sde joins the link frame, whose face is at the sde's place at rest.
             left.append(l if k == a else topology.n_links + k - 1)
             at_rest = actual.rest[k] + actual.lever_right[k]
-            left_face.append(_along(at_rest if k == a else actual.lever_left[k]))
+            left_face.append(_shift_along_x(at_rest if k == a else actual.lever_left[k]))
     left = frames[jnp.array(left)] @ jnp.stack(left_face)
     right = frames[jnp.array(right)] @ jnp.stack(right_face)
     return jax.vmap(_deflection, out_axes=1)(left, right)
 
 
-def _along(x: Array) -> Array:
+def _shift_along_x(x: Array) -> Array:
     """Transform of a shift along x."""
     return _transform(jnp.eye(3), jnp.array([1.0, 0.0, 0.0]) * x)
 
@@ -188,7 +188,7 @@ def _spring_work(actual: ModelWithErrors, state: State, q: Coordinates, qd: Coor
     return potential, rayleigh
 
 
-def _over_joints(actual: ModelWithErrors, position: Coordinates, change: Coordinates) -> dict[str, Array]:
+def _joint_transforms(actual: ModelWithErrors, position: Coordinates, change: Coordinates) -> dict[str, Array]:
     """Transforms from the frame on the parent to that on the child, by the names of joints."""
     frames, topology, found = [*transforms(actual, position, change), jnp.eye(4)], actual.topology, {}
     for j, name in enumerate(topology.joints):
@@ -231,7 +231,7 @@ def _spring_force(actual: ModelWithErrors, state: State, qd: Array, unravel: Cal
     kinds = {joint: topology.kind(topology.joints.index(joint)).nominal for joint, *_ in springs}
 
     def over(q):
-        return _over_joints(actual, state.position, unravel(q))
+        return _joint_transforms(actual, state.position, unravel(q))
 
     def stretches(q):
         found = over(q)
@@ -260,7 +260,7 @@ def _spring_force(actual: ModelWithErrors, state: State, qd: Array, unravel: Cal
 
 
 def _pull(spring: CompliantSpring, stretch: Array) -> Array:
-    """What displaces a spring by a vector, or in one direction by a number of either sign."""
+    """Force that displaces a spring by a vector, or in one direction by a number of either sign."""
     size = stretch[0] if stretch.size == 1 else jnp.linalg.norm(stretch)
     x, f = spring.positions, spring.forces
     if x is None or f is None:
@@ -270,7 +270,7 @@ def _pull(spring: CompliantSpring, stretch: Array) -> Array:
     return exerted / size * stretch
 
 
-def _along_joints(
+def _joint_coordinate_forces(
     actual: ModelWithErrors, state: State, drive: DriveInput, unravel: Callable[[Array], Coordinates]
 ) -> Array:
     """Generalised forces of drives, springs, dampers and laws of joints, flat."""
@@ -289,7 +289,9 @@ def _along_joints(
     return force
 
 
-def _of_elements(actual: ModelWithErrors, drive: DriveInput, frames: Array, derivatives: Array, rates: Array) -> Array:
+def _element_forces(
+    actual: ModelWithErrors, drive: DriveInput, frames: Array, derivatives: Array, rates: Array
+) -> Array:
     """Generalised forces of force elements, flat, by the principle of virtual work: the relative transform of their two
     frames and its derivatives by the coordinates, from those (nodes, 4, 4, n) of the transforms of all nodes."""
     total, forces = jnp.zeros_like(rates), actual.frame_forces
@@ -394,8 +396,8 @@ def reference_accelerations(
 
     by_frames, directly = jax.grad(potential, (0, 1))(matrices(q), q)
     force = -inertial - jnp.einsum("nab,nabi->i", by_frames, derivatives) - directly - jax.grad(rayleigh)(qd)
-    force = force + _along_joints(actual, state, drive, unravel) + (0.0 if applied is None else applied)
-    force = force + _of_elements(actual, drive, matrices(q), derivatives, qd)
+    force = force + _joint_coordinate_forces(actual, state, drive, unravel) + (0.0 if applied is None else applied)
+    force = force + _element_forces(actual, drive, matrices(q), derivatives, qd)
 
     phi = jax.jit(lambda q: constraints(actual, state.position, stabilisation.scale, unravel(q)))
 

@@ -35,11 +35,11 @@ from rfem_jax.mechanics.elements.linear_validity import linear_error, linear_ran
 from rfem_jax.mechanics.forces.bush_contacts import ContactState, contact_states
 from rfem_jax.mechanics.forces.element_loads import element_tangents, frame_loads
 from rfem_jax.mechanics.forces.joint_forces import (
-    about_parents_axes,
     applied_forces,
     by_coordinate,
     law_forces,
     law_tangent,
+    loads_about_parent_axes,
 )
 from rfem_jax.mechanics.implicit.residual import Residual
 from rfem_jax.mechanics.kinematics.cut_joints import Closure, closure, spring_residual, spring_row_tangent
@@ -132,7 +132,7 @@ def _assemble(model: Model, errors: AssemblyErrors, hold: dict[str, Array] | str
 
 
 def checked_hold(model: Model, hold: Mapping[str, ArrayLike] | str | None) -> dict[str, Array] | str | None:
-    """What to hold, as `assemble` takes it, with arrays. Raises `InputError` as `held_angles`."""
+    """The argument `hold` of `assemble` with arrays. Raises `InputError` as `held_angles`."""
     if hold is None or isinstance(hold, str):
         return None if hold is None else require_choice(hold, (AS_GIVEN,), "hold")
     _require_tree_joints(model, hold)
@@ -177,7 +177,7 @@ def _require_tree_joints(model: Model, names: Iterable[str]) -> None:
     for name in names:
         if name not in tree:
             raise InputError(
-                f"Argument `hold` must name joints of the tree, but has {name!r}; {suggestion(name, tree)}"
+                f"Argument `hold` must name joints of the tree, but {name!r} is not one; {suggestion(name, tree)}"
             )
         kind = model.topology.kind(tree.index(name)).nominal
         if len(kind.freedoms) != 1:
@@ -251,7 +251,7 @@ def _scaled(model: Model, actual: ModelWithErrors) -> _Scaled:
 
 
 def start_values(model: Model) -> Coordinates:
-    """The start as coordinates of which there are as many as rates: zero rotation vectors for quaternions."""
+    """Start as coordinates, as many as rates: quaternions are replaced by zero rotation vectors."""
     topology, start = model.topology, model.start_coordinates()
     if not topology.balls:
         return start
@@ -332,7 +332,7 @@ def equilibrium(
 
 @kernel
 def _status_of(actual: ModelWithErrors, position: Coordinates, found: Bool[Array, ""], scale: Scalar) -> Int[Array, ""]:
-    """What is to be said of a position, and of whether the search has found it."""
+    """Status of a position, and of the search for it."""
     in_range = range_used(actual.topology, position) < 1.0
     cuts = closure(actual, motion_of(actual, loads.static_state(actual.topology, position)), scale)
     right_side = True if cuts is None else jnp.all(cuts.alignment > 0.0)
@@ -346,8 +346,8 @@ def _status_of(actual: ModelWithErrors, position: Coordinates, found: Bool[Array
 
 
 def _cause_of(topology: Topology, cuts: Closure | None, in_range: Bool[Array, ""], scale: Scalar) -> Int[Array, ""]:
-    """Why no equilibrium was found: in a loop where nothing gives, equations that contradict each other; of rigid links
-    else loads that nothing balances; of others most likely their deflection."""
+    """Status that tells why no equilibrium was found: contradicting equations mean a loop in which nothing gives; with
+    rigid links loads that nothing balances are the cause, otherwise most likely deflections that are too large."""
     gives = topology.n_rfes > 0 or bool(topology.sprung)
     other = jnp.asarray(NOT_ASSEMBLED if gives else NO_EQUILIBRIUM)
     if cuts is None or (gives and not topology.minimum_norm):
@@ -375,8 +375,8 @@ def _search(
     perfect: tuple[ModelWithErrors, Array],
     loaded: tuple[ModelWithErrors, Array],
 ) -> tuple[Array, Array]:
-    """Unknowns under load and whether they were found, from the undeformed start without and with the held angles;
-    `perfect` and `loaded`: args of the equations."""
+    """Unknowns under load and whether the search converged, from the undeformed start, first without and then with the
+    held angles; `perfect` and `loaded`: args of the equations."""
     topology, (undeformed, guess) = scaled.topology, starts
     if topology.clearances:
         return search_contact(equations, starts, perfect, loaded, (scaled.length, scaled.force))
@@ -460,12 +460,12 @@ def _static_residual(
     cuts = closure(actual, motion, scale)
     at_rest = jnp.zeros((3, n + topology.n_rfes))
     inertial = loads.inertial_loads(actual, motion, at_rest, at_rest)
-    force, moment = loads.beyond_elements(inertial, frame_loads(actual, motion, None))
+    force, moment = loads.loads_beyond_elements(inertial, frame_loads(actual, motion, None))
     wrenches = loads.chain_wrenches(actual, motion, cuts, multipliers, (force, moment))
     hinge = dot(motion.axis, by_freedom(topology, jnp.stack(wrenches[:n], axis=1)))
     applied = applied_forces(topology, position, DriveInput(), law_forces(actual, state))
     if applied:
-        hinge = about_parents_axes(topology, position, hinge - by_coordinate(topology, applied))
+        hinge = loads_about_parent_axes(topology, position, hinge - by_coordinate(topology, applied))
     force, moment = -force[:, n:], -moment[:, n:]
     for j, (left, right) in enumerate(zip(topology.parents, topology.children)):
         for node, sign in ((left, -1.0), (right, 1.0)):
@@ -498,7 +498,7 @@ def static_loads(
 def closed_at_rest(
     model: Model, actual: ModelWithErrors, state: State, multipliers: Float[Array, " constraints"]
 ) -> loads.Resting:
-    """What the loads of a mechanism at rest follow from."""
+    """Motion and closure of a mechanism at rest, from which its loads follow."""
     motion = motion_of(actual, state)
     cuts, at_nodes = closure(actual, motion, length_scale(model)), frame_loads(actual, motion, None)
     return loads.Resting(motion, cuts, multipliers, law_forces(actual, state), at_nodes)

@@ -62,7 +62,7 @@ class _Search(NamedTuple):
     units: Units
 
     def poses(self, unknowns: Array, actual: ModelWithErrors) -> list[Pose]:
-        """Of the pins in their bushes."""
+        """Poses of the pins in their bushes."""
         state = loads.static_state(actual.topology, self.equations.coordinates(unknowns))
         motion = motion_of(actual, state)
         return [element_pose(actual.topology, motion, pin) for pin in pins_of(actual).values()]
@@ -122,7 +122,7 @@ class _Search(NamedTuple):
 
 
 def _rows(jacobian: Array, unknowns: Array, n: int) -> Array:
-    """What a step of size one changes of every residual, the first `n` unknowns being coordinates."""
+    """Change of every residual by a step of size one; the first `n` unknowns are coordinates."""
     return jnp.abs(jacobian) @ jnp.concatenate([jnp.ones(n), 1.0 + jnp.abs(unknowns[n:])])
 
 
@@ -133,7 +133,7 @@ def search_contact(
     loaded: tuple[ModelWithErrors, Any],
     scales: tuple[Float[Array, ""], Float[Array, ""]],
 ) -> tuple[Float[Array, " n"], Bool[Array, ""]]:
-    """Unknowns under load and whether they were found; `starts`: undeformed, without and with the held angles;
+    """Unknowns under load and whether the search converged; `starts`: undeformed, without and with the held angles;
     `perfect` and `loaded`: args of the equations; `scales`: length [m] and force [N] of the mechanism."""
     search = _Search(equations, Units(*scales))
     undeformed, guess = starts

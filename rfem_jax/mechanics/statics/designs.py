@@ -109,11 +109,11 @@ def _scalar(value: Any, read: Any, where: str) -> Float[Array, ""]:
 
 
 def source_in(model: Model) -> Source:
-    """The numbers that a model was made of; raises InputError if it has none."""
+    """The numbers from which a model was made; raises InputError for a model without them."""
     if model.source is None:
         raise InputError(
-            "Argument `model` must have the numbers of its description, but has none; take the model that `discretise` "
-            "returns."
+            "Argument `model` must know the numbers of its description, but has lost them; take the model that "
+            "`discretise` returns."
         )
     return model.source
 
@@ -152,7 +152,7 @@ def designed(model: Model, design: Design | None, errors: AssemblyErrors | None 
     base = bare
     if plan.products and base.point_products is None:
         base = replace(base, point_products=jnp.zeros_like(base.point_inertia))
-    changed, status, gap = _made(base, source, values, deviations, plan)
+    changed, status, gap = _designed_arrays(base, source, values, deviations, plan)
     leaves, tree = jax.tree.flatten(base)
     new = iter(changed)
     leaves = [next(new) if changes else leaf for leaf, changes in zip(leaves, plan.changes, strict=True)]
@@ -202,9 +202,9 @@ def _require_possible(
 
 
 class Plan(NamedTuple):
-    """What changes with some parameters: which leaves of a model, start values of the joints among them; closes:
-    whether loops are to be closed; arms: whether points may leave their rfes; products: whether bodies have products of
-    inertia."""
+    """The part of a model that changes with some parameters: leaves that change, start values of the joints among them;
+    closes: whether loops are to be closed; arms: whether points may leave their rfes; products: whether bodies have
+    products of inertia."""
 
     changes: tuple[bool, ...]
     closes: bool
@@ -214,7 +214,7 @@ class Plan(NamedTuple):
 
 @lru_cache(maxsize=256)
 def _plan_of(blueprint: Blueprint, topology: Topology, names: tuple[str, ...]) -> Plan:
-    """What changes with the parameters of full names: what is not a number where these are none."""
+    """Arrays that depend on these parameters, found by evaluating the model with NaN in their place."""
     parts = [name.split(".") for name in names]
     turned = any(p[0] == "link" and (p[2] == "orientation" or (p[2] == "inertia" and len(p[3]) == 2)) for p in parts)
     structure = PartStructure(topology, blueprint.points, blueprint.products or turned)
@@ -234,7 +234,7 @@ def _plan_of(blueprint: Blueprint, topology: Topology, names: tuple[str, ...]) -
 
 
 @partial(Program, nameless=True)
-def _made(
+def _designed_arrays(
     base: Model, source: Source, values: dict[str, Array], deviations: dict[str, Array], plan: Plan
 ) -> tuple[list[Array], Int[Array, ""], Float[Array, ""]]:
     """The leaves that change, status and gap [m]."""
@@ -247,7 +247,7 @@ def _made(
 
     def closed(numbers: list[Array], start: Model) -> tuple[Model, Float[Array, ""]]:
         made = arrays_of(blueprint.filled(numbers), structure)
-        made = replace(made, start_joints=_held_start(start, made), cut_angles=start.cut_angles)
+        made = replace(made, start_joints=_start_values(start, made), cut_angles=start.cut_angles)
         if not plan.closes:
             return made, jnp.zeros(())
         found = close_start(start, made)
@@ -269,7 +269,7 @@ def _made(
     return [jnp.where(status == OK, new, old) for new, old, changes in leaves if changes], status, gap
 
 
-def _held_start(base: Model, made: Model) -> Float[Array, " numbers"]:
+def _start_values(base: Model, made: Model) -> Float[Array, " numbers"]:
     """Start values: those that drives hold are numbers of the design, the others start from the nominal ones."""
     topology = base.topology
     held = np.isin(np.arange(base.start_joints.shape[0]), [topology.place_of(k) for k in topology.drives])

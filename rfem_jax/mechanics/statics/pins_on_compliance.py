@@ -89,7 +89,7 @@ def holding(pins: list[PinInBush], units: Units) -> Float[Array, " k"]:
 
 
 def pin_wrenches(pins: list[PinInBush], poses: list[Pose], units: Units) -> Float[Array, " k"]:
-    """What pins at rest exert, scaled; friction is zero."""
+    """Scaled wrenches that pins at rest exert, without friction."""
     without = [dataclasses.replace(pin, friction=None) for pin in pins]
     return jnp.concatenate([units.scaled(pin.wrench(at, START)) for pin, at in zip(without, poses, strict=True)])
 
@@ -117,7 +117,7 @@ def pins_at_rest(
     before, stiffness = pin_wrenches(pins, poses, units), holding(pins, units)
 
     def excess(wrenches):
-        """What wrenches exceed those of the pins that they lead to."""
+        """Difference between wrenches and those of the pins at the poses that they lead to."""
         change = free + compliance @ wrenches
         return wrenches - pin_wrenches(pins, _moved(poses, change, units), units) + before - stiffness * change
 
@@ -132,14 +132,14 @@ def pins_at_rest(
         # Gravity may push pins from the middle: where Newton's step leads uphill, its opposite is taken.
         direction = jnp.where(value @ (compliance @ direction) > 0.0, -direction, direction)
         moved = compliance @ direction
-        share = _along(lambda t: excess(wrenches + t * direction) @ moved, value @ moved)
+        share = _line_search_share(lambda t: excess(wrenches + t * direction) @ moved, value @ moved)
         return wrenches + share * direction, jnp.max(jnp.abs(share * moved)), count + 1
 
     start = jnp.zeros_like(free)
     return jax.lax.while_loop(going_on, improve, (start, jnp.ones(()), jnp.zeros((), jnp.int32)))[0]
 
 
-def _along(slope: Callable[[Array], Array], first: Float[Array, ""]) -> Float[Array, ""]:
+def _line_search_share(slope: Callable[[Array], Array], first: Float[Array, ""]) -> Float[Array, ""]:
     """Share of a step at which the energy's slope along it, `first` at its start, has nearly vanished; all of it where
     the energy still falls there.
 

@@ -159,7 +159,7 @@ def newton(
     iterations: int = MAX_ITERATIONS,
     found: bool | Bool[Array, ""] = False,
 ) -> tuple[Float[Array, " n"], Bool[Array, ""]]:
-    """Unknowns after Newton's method and whether it converged; nothing is done if `found`."""
+    """Unknowns after Newton's method and whether it converged; it does nothing if `found` is true."""
 
     n = equations.n_coordinates
 

@@ -48,12 +48,12 @@ def act(arguments: argparse.Namespace) -> Answer:
         schema.write_text(schema_text(), encoding="utf-8")
     except FileExistsError:
         raise InputError(
-            f"Argument `NAME` must be of a new file, but `{path}` exists; choose another name, or remove the file."
+            f"Argument `NAME` must name a new file, but `{path}` exists; choose another name, or remove the file."
         ) from None
     except (OSError, ValueError) as problem:
         reason = getattr(problem, "strerror", None) or problem
         raise InputError(
-            f"Argument `NAME` must be of a file that can be written, but `{path}` cannot ({reason}); choose another."
+            f"Argument `NAME` must name a file that can be written, but `{path}` cannot ({reason}); choose another."
         ) from problem
     show(f"{path} written: a {arguments.kind}. Go on with\n")
     show(f"  rfem-jax check {path}\n  rfem-jax run {path} --out results/{path.stem}")

@@ -91,7 +91,9 @@ class TaskReport(abc.ABC, Generic[Asked, Result]):
         """The tolerances of the study, which is not read without them where the task needs them."""
         found = self.study.tasks.tolerances
         if found is None:
-            raise InputError(f"Task `{self.name}` must have tolerances, but the study has none; add [tolerances].")
+            raise InputError(
+                f"Task `{self.name}` must have tolerances, but the study gives none; add a table [tolerances]."
+            )
         return found
 
     def settings(self) -> Iterator[tuple[str, str]]:

@@ -80,7 +80,7 @@ _MAKERS: dict[type[Method], Callable[[Any], diffrax.AbstractSolver]] = {
     RungeKutta4: lambda method: RungeKutta4Solver(),
     Leapfrog: lambda method: LeapfrogSolver(),
     GeneralisedAlpha: GeneralisedAlphaSolver,
-    Explicit: lambda method: _of_diffrax(method.solver),
+    Explicit: lambda method: _DIFFRAX[method.solver]() if isinstance(method.solver, str) else method.solver,
 }
 
 
@@ -116,13 +116,8 @@ def observed_solver(method: Method) -> IntervalSolver:
     return solver if isinstance(solver, IntervalSolver) else PeakTracking(solver)
 
 
-def _of_diffrax(solver: str | diffrax.AbstractSolver) -> diffrax.AbstractSolver:
-    """The solver of a name, or the given one, with "bounded" loops over the stages: with these all transforms apply, in
-    forward and reverse mode."""
-    made = _DIFFRAX[solver]() if isinstance(solver, str) else solver
-    return dataclasses.replace(made, scan_kind="bounded") if hasattr(made, "scan_kind") else made
-
-
 def make_solver(method: Method) -> diffrax.AbstractSolver:
     """The diffrax solver of a method."""
-    return _MAKERS[type(method)](method)
+    solver = _MAKERS[type(method)](method)
+    # With "bounded" loops over the stages all transforms apply, in forward and reverse mode.
+    return dataclasses.replace(solver, scan_kind="bounded") if isinstance(solver, diffrax.AbstractERK) else solver

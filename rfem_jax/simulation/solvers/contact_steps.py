@@ -40,14 +40,14 @@ SOLVED, SOLVED_BY = 1e-3, 8  # residual over the largest force so far; halvings 
 
 
 class PinDepths(NamedTuple):
-    """Of all contacts of a mechanism: depth [m], below zero where open, and its rate [m/s]."""
+    """Depths [m] of all contacts of a mechanism, below zero where a contact is open, and their rates [m/s]."""
 
     depth: Float[Array, " contacts"]
     rate: Float[Array, " contacts"]
 
 
 class PinLaws(NamedTuple):
-    """Of all contacts: stiffness K [N/m^n], exponent n, and reduced mass [kg] of both links."""
+    """Laws of all contacts: stiffness K [N/m^n], exponent n, and reduced mass [kg] of both links."""
 
     stiffness: Float[Array, " contacts"]
     exponent: Float[Array, " contacts"]

@@ -82,7 +82,7 @@ from rfem_jax.mechanics.model.model import Coordinates, State, Topology
 from rfem_jax.mechanics.model.orientations import moved
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 from rfem_jax.simulation import equations
-from rfem_jax.simulation.batches import like_batched
+from rfem_jax.simulation.batches import with_batch_axes
 from rfem_jax.simulation.equations import Conditions, Integrals, Scalar, Trajectory
 from rfem_jax.simulation.observation import Instant, cut_drift, evaluated_instant
 from rfem_jax.simulation.run import RESIDUAL_LIMIT
@@ -331,7 +331,7 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
             return count + 1, converged, unknowns, kept(evaluation), lines, end
 
         # The first increment is always made, so the end of the step at the prediction is not needed.
-        count, converged = like_batched(
+        count, converged = with_batch_axes(
             (jnp.zeros((), jnp.int32), jnp.zeros((), bool)), *(x for x in jax.tree.leaves(predicted) if x.size)
         )
         found = None if evaluation.laws is None else evaluation.laws.friction
@@ -372,7 +372,7 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         state, _ = self._newmark(h, trajectory, memory, unknowns.accelerations, actual.topology, drive)
         tangent = None
         if evaluation.laws is not None and evaluation.laws.friction is not None:
-            ahead = _ahead(constants, start)
+            ahead = _friction_delay(constants, start)
             factor = self.factors(h)[1] + (0.0 if ahead is None else ahead)
             tangent = friction_tangent(actual, evaluation.laws.friction, factor, lines)
         return self._matrix(
@@ -430,7 +430,7 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         drive = conditions.drives.at(constants.end, conditions.phase)
         accelerations, multipliers = unknowns
         state, auxiliary = self._newmark(h, trajectory, memory, accelerations, actual.topology, drive)
-        ahead = _ahead(constants, start)
+        ahead = _friction_delay(constants, start)
         evaluation = evaluate_residual(actual, state, accelerations, multipliers, drive, scale, ahead)
         evaluation = self._closing_as_acceleration(evaluation, h)
         return evaluation, self._step_end(evaluation, unknowns, state, auxiliary, drive, h, start)
@@ -451,7 +451,7 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         laws, cuts, at_cuts = law_forces(actual, state), evaluation.closure, None
         if actual.friction is not None:
             motion, later = motion_of(actual, state), None
-            if (ahead := _ahead(constants, start)) is not None:
+            if (ahead := _friction_delay(constants, start)) is not None:
                 nodes = spatial_accelerations(actual, motion, state, unknowns.accelerations)
                 later = Ahead(ahead, unknowns.accelerations.joints, nodes)
             in_cuts = cut_friction(actual, motion, cuts, unknowns.multipliers, later)
@@ -537,12 +537,12 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
 
 
 def _with_least_reactions(actual: ModelWithErrors, evaluation: Evaluation) -> Evaluation:
-    """The evaluation with the least of redundant reactions, which Newton's method leaves as they are."""
+    """The evaluation with the smallest redundant reactions; Newton's method leaves them as they were."""
     evaluation, wrenches = loads.with_least_reactions(actual, evaluation, evaluation.wrenches)
     return evaluation._replace(wrenches=wrenches)
 
 
-def _ahead(constants: StepConstants, start: StepStart) -> Float[Array, ""] | None:
+def _friction_delay(constants: StepConstants, start: StepStart) -> Float[Array, ""] | None:
     """Time [s] by which friction is taken later, in steps of length zero but the first one, which tells the loads at
     the start (theory (12.10)); None without friction."""
     ahead, begun = start.conditions.ahead, start.memory.begun

@@ -35,7 +35,7 @@ from rfem_jax.mechanics.implicit.newton import (
 from rfem_jax.mechanics.implicit.residual import Evaluation, residual_of
 from rfem_jax.mechanics.laws.clearances import ContactMemory
 from rfem_jax.mechanics.model.model import Coordinates
-from rfem_jax.simulation.batches import like_batched
+from rfem_jax.simulation.batches import with_batch_axes
 from rfem_jax.simulation.equations import Conditions, Integrals, Scalar, Trajectory
 
 SOLUTION = "solution of an implicit step"  # what reverse mode keeps of a step
@@ -73,7 +73,7 @@ class Memory(NamedTuple):
 
 
 class StepStart(NamedTuple):
-    """What a step starts from, and is differentiated by."""
+    """State and memory at the start of a step; a step is differentiated with respect to them."""
 
     conditions: Conditions
     trajectory: Trajectory
@@ -90,7 +90,7 @@ class StepConstants(NamedTuple):
 
 
 class StepEnd(NamedTuple):
-    """What a step returns."""
+    """Results of a step."""
 
     trajectory: Trajectory
     memory: Memory
@@ -102,7 +102,7 @@ class ImplicitMethod(Protocol):
 
     @property
     def tangent_increments(self) -> int:
-        """Number of Newton increments by which the derivative of the unknowns is found."""
+        """Number of Newton increments that solve for the derivative of the unknowns."""
         ...
 
     def iteration_matrix(
@@ -159,7 +159,7 @@ def form_matrix(
 def solved_step(method: ImplicitMethod, matrix: IterationMatrix, constants: StepConstants, start: StepStart) -> StepEnd:
     """The end of a step, differentiable with respect to its start."""
     end = _solve(method, matrix, constants, start)
-    return like_batched(end, *_of_all_samples(end.memory.accelerations))
+    return with_batch_axes(end, *_batched_accelerations(end.memory.accelerations))
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -174,7 +174,7 @@ def _solve(method, matrix, constants, start):
     return method.solve(matrix, constants, start)
 
 
-def _of_all_samples(accelerations: Coordinates) -> list[Array]:
+def _batched_accelerations(accelerations: Coordinates) -> list[Array]:
     """Accelerations with the batch axes of a step: of joints, or of rfes where no joint has a free motion."""
     return [x for x in (accelerations.joints, accelerations.elastic) if x.size][:1]
 
@@ -190,7 +190,7 @@ def _differentiate(method, primals, tangents):
     # Kept by name, so that reverse mode does not repeat Newton's method.
     solution = jax.tree.map(lambda x: checkpoint_name(x, SOLUTION), _solution(method, matrix, constants, start))
     end, tangent = _end_and_tangent(method, matrix, constants, solution, inputs, fixed, along)
-    return like_batched(end, *_of_all_samples(solution.accelerations)), tangent
+    return with_batch_axes(end, *_batched_accelerations(solution.accelerations)), tangent
 
 
 def _differentiate_solution(method, primals, tangents):
@@ -205,7 +205,7 @@ _solution.defjvp(_differentiate_solution, symbolic_zeros=True)
 
 @functools.partial(jax.jit, static_argnums=0)
 def _end_and_tangent(method, matrix, constants, solution, inputs, fixed, along):
-    """The end of a step whose unknowns are known, and its derivative along a tangent of the active inputs."""
+    """End of a solved step, and its derivative along a tangent of the active inputs."""
 
     def at(unknowns, inputs):
         evaluation, end = method.evaluate(unknowns, constants, eqx.combine(inputs, fixed))

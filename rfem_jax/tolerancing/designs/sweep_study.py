@@ -264,7 +264,9 @@ def _read_fixed(problem: ToleranceProblem, at: ErrorValues | None, names: tuple[
     fixed = read_point(problem, at)
     for name in names:
         if name in fixed:
-            raise InputError(f"Argument `at` must hold errors that do not vary, but `{name}` does; remove it there.")
+            raise InputError(
+                f"Argument `at` must hold errors that do not vary, but `{name}` varies; remove it from `at`."
+            )
     return fixed
 
 

@@ -77,7 +77,7 @@ def region_matrix(
         root = np.linalg.cholesky(covariance / np.outer(deviation, deviation))
     except np.linalg.LinAlgError:
         raise InputError(
-            "Argument `tolerances` must have a positive definite covariance for an ellipsoid, but it has not; "
+            "Argument `tolerances` must have a positive definite covariance for an ellipsoid, but theirs is not; "
             "remove an error that the others determine."
         ) from None
     return half_widths[:, None] * root

@@ -34,7 +34,7 @@ def metric(name: str) -> Metric:
     entry, owner = kind_and_owner(name)
     if entry is None:
         fix = suggested_metric(name, owner or "A")
-        raise InputError(f"Argument `metrics` must name metrics, but {name!r} is none; {fix}")
+        raise InputError(f"Argument `metrics` must name metrics, but {name!r} is not a metric; {fix}")
     # A kind that was replaced is another entry.
     if name not in _made or _made[name][0] is not entry:
         _made[name] = entry, _made_of(entry, owner)

@@ -182,7 +182,7 @@ def _read_manifest(folder: Path) -> dict[str, Any] | None:
         others = [p.name for p in folder.iterdir() if not p.name.endswith(UNFINISHED)]
         if others and not (folder / MANIFEST).exists():
             raise StudyFolderError(
-                f"`{folder}` holds `{sorted(others)[0]}` and no manifest",
+                f"`{folder}` holds `{sorted(others)[0]}` and no manifest of a study",
                 "name a new folder",
             ) from None
         return None
@@ -200,7 +200,7 @@ def _require_same(folder: Path, found: dict[str, Any], study: dict[str, Any], ig
     ]
     if differing:
         raise StudyFolderError(
-            f"`{folder}` is of another: it differs in {'; '.join(differing)}",
+            f"`{folder}` holds another study, which differs in {'; '.join(differing)}",
             "name a new folder, or specify the same study",
         )
 

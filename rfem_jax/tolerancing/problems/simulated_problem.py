@@ -90,7 +90,7 @@ class Problem(eqx.Module):
             simulation, metrics = _of_former_arguments(simulation, metrics, further, former)
         elif further or former:
             raise InputError(
-                "Arguments of a problem must be a simulation and metrics, but there are others; give drive, duration, "
+                "Arguments of a problem must be a simulation and metrics, but more were given; give drive, duration, "
                 "method and the like to `Simulation`."
             )
         simulation, metrics = simulation_of_call("Problem", simulation, {}), () if metrics is None else metrics
@@ -352,8 +352,8 @@ def _known_metric(model: Model, asked: str | Metric) -> Metric:
         require_metric(one.name, _subjects_of(model), "model")
     if one.function is None:
         raise InputError(
-            f"Argument `metrics` must hold metrics with a function of a run, but {one.name!r} has none; write for "
-            f"example Metric({one.name!r}, function=lambda run: run.angle[-1])."
+            f"Argument `metrics` must hold metrics with a function of a run, but {one.name!r} has no function; write "
+            f"for example Metric({one.name!r}, function=lambda run: run.angle[-1])."
         )
     return one
 
