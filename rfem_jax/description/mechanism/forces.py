@@ -313,7 +313,8 @@ _POSITIVE = ("radius", "length", "sliding_rate", "load_scale")
 
 def _check_names(checks: Checks) -> None:
     checks.convert("name", require_name, "`name` of a force")
-    checks.convert("joint", require_name, f"`joint` of force `{checks.owner.name}`")
+    if checks.passed("name"):  # which has that of the joint for a force in a joint's table
+        checks.convert("joint", require_name, f"`joint` of force `{checks.owner.name}`")
 
 
 def _motion_of(force: JointForce, joint: Joint) -> str:

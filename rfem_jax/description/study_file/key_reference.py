@@ -39,6 +39,7 @@ from rfem_jax.description.study_file.study_reader import (
     drive_keys,
     section_keys,
 )
+from rfem_jax.description.tasks.catalogue import asked_classes
 from rfem_jax.description.tolerances.tolerances import CorrelatedTolerances, SpecifiedTolerance
 from rfem_jax.description.tolerances.zones import SpecifiedZone
 from rfem_jax.task_kinds import task_kinds
@@ -121,8 +122,8 @@ def key_tables() -> list[KeyTable]:
     either = Key("JOINT.position = ...", "-", "or coaxiality, parallelism, perpendicularity: a diameter, or a table")
     tables.append(KeyTable(zone.header, (either, *zone.keys)))
     tables.append(_table("[[tolerances.correlated]]", CorrelatedTolerances, *keys_of(CorrelatedTolerances)))
-    for name, kind in task_kinds().items():
-        for header, described, required, optional in kind.asked_class().tables(f"[{name}]"):
+    for name, kind in asked_classes().items():
+        for header, described, required, optional in kind.tables(f"[{name}]"):
             tables.append(_table(header, described, required, optional))
     return tables
 

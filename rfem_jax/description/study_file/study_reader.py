@@ -7,7 +7,7 @@ drive. Joints, springs and forces are read by `force_reader`.
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 from rfem_jax.description.basics.errors import ABSENT, InputError, Problems, located, require_choice, require_name
 from rfem_jax.description.basics.tables import (
@@ -43,8 +43,6 @@ from rfem_jax.description.mechanism.rigid_bodies import RigidBody
 from rfem_jax.description.mechanism.sections import Circle, GivenSection, Rectangle, Section, Tube
 from rfem_jax.description.methods import Method, named_method, setting_names
 from rfem_jax.description.study_file.force_reader import read_force, read_joint, read_spring
-
-Part = TypeVar("Part")
 
 SHAPES = {"rectangle": Rectangle, "circle": Circle, "tube": Tube, "given": GivenSection}
 DRIVES = {
@@ -131,10 +129,10 @@ def _read_named(tables: object, header: str, read: Callable[[str, object, str], 
 
     Returns: ABSENT in place of those with a mistake, which is noted, and where there may be others than those found.
     """
-    tables = problems.attempt(require_table, tables, f"[{header}]")
-    if tables is ABSENT:
+    checked = problems.attempt(require_table, tables, f"[{header}]")
+    if checked is ABSENT:
         return ABSENT
-    return {name: problems.attempt(read, name, table, f"[{header}.{name}]") for name, table in tables.items()}
+    return {name: problems.attempt(read, name, table, f"[{header}.{name}]") for name, table in checked.items()}
 
 
 def _named_part(name: object, known: Any, key: str, place: str) -> Any:
