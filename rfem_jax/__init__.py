@@ -39,6 +39,7 @@ _names = {
     ),
     "compilation.keeping": "keep_programs",
     "task_kinds": "TaskKind register_task",
+    "report.page.run_page": "report_run",
     "simulation": (
         "EquationsOfMotion Run Simulation check_step choose_method cycle_run derivative_residual equations_of_motion "
         "kinetostatic_turn largest_stable_step natural_frequencies register_method run_cases simulate steady_cycle"

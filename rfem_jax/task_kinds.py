@@ -1,12 +1,12 @@
-"""The kinds of tasks that a study may declare: the one list that everything else follows.
+"""The kinds of tasks that a study may declare, in words: the one list that everything else follows.
 
-Place in the pipeline: beside all packages, and imports none of them. The reader of study files takes the tables
-from here (`description`), the command line its subcommands, and `check` its overview (`report`).
+Place in the pipeline: beside all packages, and imports none of them, so that `rfem-jax --help` does not wait for JAX.
+The reader of study files takes the tables from here (`description`), the command line its subcommands, and `check` its
+overview (`report`).
 
-A kind has two classes: what is asked (a subclass of `rfem_jax.description.tasks.task.Task`, whose fields are the
-keys of the table), and how it is computed and shown (a subclass of `rfem_jax.report.tasks.task_report.TaskReport`).
-They may be named by strings "module:Class", which are imported when they are needed, so that `rfem-jax --help`
-does not wait for JAX. A kind from outside the package is added by `register_task`.
+A kind has two classes: what is asked (a subclass of `Task`, whose fields are the keys of the table), and how it is
+computed and shown (a subclass of `TaskReport`). Those of the kinds below are known to the catalogues of
+`description.tasks` and `report.tasks`; a kind from outside the package brings its own (`register_task`).
 """
 
 from dataclasses import dataclass
@@ -20,8 +20,9 @@ class TaskKind:
 
     Args:
         name: of the table [name] in a study file, and of the files written; letters, digits and "_".
-        asks: the class of what is asked, or "module:Class".
-        reports: the class that computes and shows it, or "module:Class".
+        asks: the class of what is asked, or "module:Class", which is imported when it is needed; None: a kind of the
+            package's own.
+        reports: the class that computes and shows it, or "module:Class"; None: as above.
         purpose: what it finds out, for `--help`.
         results: what it writes, for `--help`.
         title: its name in words; None makes them of `name`.
@@ -32,8 +33,8 @@ class TaskKind:
     """
 
     name: str
-    asks: type | str
-    reports: type | str
+    asks: type | str | None
+    reports: type | str | None
     purpose: str
     results: str
     title: str | None = None
@@ -53,11 +54,11 @@ class TaskKind:
         object.__setattr__(self, "command", self.command or self.name.replace("_", "-"))
 
     def asked_class(self) -> Any:
-        """The class of what is asked."""
+        """The class of what is asked, of a kind from outside the package."""
         return _imported(self.asks)
 
     def report_class(self) -> Any:
-        """The class that computes and shows it."""
+        """The class that computes and shows it, of a kind from outside the package."""
         return _imported(self.reports)
 
 
@@ -68,7 +69,53 @@ OTHER_TABLES = ("turn", "modes", "cycle", "comparison", "comparison_tasks", "val
 # Subcommands that are no tasks, in the order of `--help`: each is a file of `rfem_jax.report.commands` of that name.
 COMMANDS = ("init", "run", "modes", "turn", "cycle", "check", "compare", "keys", "parameters", "report", "validate")
 
-_kinds: dict[str, TaskKind] = {}
+_OF_THE_PACKAGE = (
+    TaskKind(
+        "sensitivity", None, None,
+        purpose="derivatives of joint loads with respect to assembly errors",
+        results="ranked tables, principal directions, heat map, tornado chart",
+    ),
+    TaskKind(
+        "monte_carlo", None, None,
+        title="Monte Carlo",
+        purpose="scatter, quantiles and yield over the tolerances; continues an interrupted run",
+        results="statistics, all samples, histograms, scatter matrix; chunks of samples in DIR/monte_carlo",
+        many_processes=True,
+        kept="finished chunks of a Monte Carlo study",
+    ),
+    TaskKind(
+        "worst_case", None, None,
+        purpose="largest loads anywhere within the tolerances",
+        results="the worst errors, all corners, the quadratic model's prediction",
+    ),
+    TaskKind(
+        "allocation", None, None,
+        command="allocate",
+        purpose="the cheapest tolerances that keep limits on loads",
+        results="tolerances before and after, verified margins, cost against limits",
+        tables=("allocation_front",),
+    ),
+    TaskKind(
+        "sweep", None, None,
+        purpose="metrics over ranges of errors and dimensions, the surface through them; continues an interrupted run",
+        results="all points, the response surface with its error, responses, contours; chunks of points in DIR/sweep",
+        many_processes=True,
+        kept="finished chunks of a sweep",
+    ),
+    TaskKind(
+        "reliability", None, None,
+        purpose="probabilities that limits are broken, however small (FORM, importance sampling, subset simulation)",
+        results="probabilities with intervals, the most probable failures, what errors contribute to them",
+    ),
+    TaskKind(
+        "optimise", None, None,
+        purpose="the best dimensions and tolerances that keep limits",
+        results="dimensions and tolerances before and after, verified margins, Pareto front",
+        kept="evaluations of an optimisation",
+        tables=("optimise_limits", "optimise_front"),
+    ),
+)  # fmt: skip
+_kinds = {one.name: one for one in _OF_THE_PACKAGE}
 
 
 def task_kinds() -> dict[str, TaskKind]:
@@ -85,8 +132,11 @@ def register_task(kind: TaskKind) -> TaskKind:
     """Make a kind of task known: study files may then have its table, and `rfem-jax` has its subcommand.
 
     Returns: the kind.
-    Raises: ValueError if its name or its command is in use.
+    Raises: ValueError if its name or its command is in use, or a class is missing.
     """
+    for name in ("asks", "reports"):
+        if getattr(kind, name) is None:
+            raise ValueError(f"Argument `{name}` of a kind of task must be a class, but is None; give one.")
     if kind.name in (*_kinds, *RESERVED_TABLES):
         raise ValueError(
             f"Argument `name` of a kind of task must be a new one, but `{kind.name}` is in use; choose another."
@@ -100,82 +150,8 @@ def register_task(kind: TaskKind) -> TaskKind:
     return kind
 
 
-def _imported(named: type | str) -> Any:
+def _imported(named: type | str | None) -> Any:
     if not isinstance(named, str):
         return named
     module, _, name = named.partition(":")
     return getattr(import_module(module), name)
-
-
-register_task(
-    TaskKind(
-        "sensitivity",
-        asks="rfem_jax.description.tasks.sensitivity:SensitivityTask",
-        reports="rfem_jax.report.tasks.sensitivity:SensitivityReport",
-        purpose="derivatives of joint loads with respect to assembly errors",
-        results="ranked tables, principal directions, heat map, tornado chart",
-    )
-)
-register_task(
-    TaskKind(
-        "monte_carlo",
-        asks="rfem_jax.description.tasks.monte_carlo:MonteCarloTask",
-        reports="rfem_jax.report.tasks.monte_carlo:MonteCarloReport",
-        title="Monte Carlo",
-        purpose="scatter, quantiles and yield over the tolerances; continues an interrupted run",
-        results="statistics, all samples, histograms, scatter matrix; chunks of samples in DIR/monte_carlo",
-        many_processes=True,
-        kept="finished chunks of a Monte Carlo study",
-    )
-)
-register_task(
-    TaskKind(
-        "worst_case",
-        asks="rfem_jax.description.tasks.worst_case:WorstCaseTask",
-        reports="rfem_jax.report.tasks.worst_case:WorstCaseReport",
-        purpose="largest loads anywhere within the tolerances",
-        results="the worst errors, all corners, the quadratic model's prediction",
-    )
-)
-register_task(
-    TaskKind(
-        "allocation",
-        asks="rfem_jax.description.tasks.allocation:AllocationTask",
-        reports="rfem_jax.report.tasks.allocation:AllocationReport",
-        command="allocate",
-        purpose="the cheapest tolerances that keep limits on loads",
-        results="tolerances before and after, verified margins, cost against limits",
-        tables=("allocation_front",),
-    )
-)
-register_task(
-    TaskKind(
-        "sweep",
-        asks="rfem_jax.description.tasks.sweep:SweepTask",
-        reports="rfem_jax.report.tasks.sweep:SweepReport",
-        purpose="metrics over ranges of errors and dimensions, the surface through them; continues an interrupted run",
-        results="all points, the response surface with its error, responses, contours; chunks of points in DIR/sweep",
-        many_processes=True,
-        kept="finished chunks of a sweep",
-    )
-)
-register_task(
-    TaskKind(
-        "reliability",
-        asks="rfem_jax.description.tasks.reliability:ReliabilityTask",
-        reports="rfem_jax.report.tasks.reliability:ReliabilityReport",
-        purpose="probabilities that limits are broken, however small (FORM, importance sampling, subset simulation)",
-        results="probabilities with intervals, the most probable failures, what errors contribute to them",
-    )
-)
-register_task(
-    TaskKind(
-        "optimise",
-        asks="rfem_jax.description.tasks.optimise:OptimiseTask",
-        reports="rfem_jax.report.tasks.optimise:OptimiseReport",
-        purpose="the best dimensions and tolerances that keep limits",
-        results="dimensions and tolerances before and after, verified margins, Pareto front",
-        kept="evaluations of an optimisation",
-        tables=("optimise_limits", "optimise_front"),
-    )
-)

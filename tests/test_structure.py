@@ -3,10 +3,12 @@ mechanics -> compilation -> description; kernels import none of them.  None of t
 environment and JAX's settings, or uses what is JAX's own."""
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
 
+import rfem_jax
 from tests.processes import in_a_new_process
 
 ROOT = Path(__file__).parents[1]
@@ -23,15 +25,79 @@ BESIDE = (
     "whole_files",
 )  # modules that all packages may import
 
+NAME_OF_A_MODULE = re.compile(r"(rfem_jax(?:\.\w+)+)(?::\w+)?")
+PUBLIC = {name: f"rfem_jax.{module}" for module, names in rfem_jax._names.items() for name in names.split()}
+BY_STRINGS_OF_USERS = {"task_kinds.py", "labelled_data.py", "lazy_names.py"}  # whose import_module has any argument
+FORMER = {"simulation/run.py": "report_run"}  # names of a package above that methods of the version before call
+
 
 def imported_modules(path: Path):
-    """Names of all modules that a file imports, inside functions too."""
-    for node in ast.walk(ast.parse(path.read_text())):
+    """Names of all modules that a file imports: inside functions, by strings and by the package's public names, too."""
+    former = FORMER.get(path.relative_to(ROOT / "rfem_jax").as_posix()) if path.is_relative_to(ROOT) else None
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
-        if isinstance(node, ast.ImportFrom):
+        elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path} has a relative import"
             yield node.module
+            if node.module == "rfem_jax":
+                yield from (PUBLIC.get(alias.name, f"rfem_jax.{alias.name}") for alias in node.names)
+        elif isinstance(node, ast.Attribute) and ast.unparse(node.value) == "rfem_jax" and node.attr != former:
+            yield PUBLIC.get(node.attr, f"rfem_jax.{node.attr}")
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            named = NAME_OF_A_MODULE.fullmatch(node.value)
+            if named and is_module(named[1]):
+                yield named[1]
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("import_module", "__import__")):
+            yield from imported_by_call(node, path)
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("import rfem_jax.report.tables", {"rfem_jax.report.tables"}),
+        ("def f():\n    from rfem_jax.report.tables import format_table", {"rfem_jax.report.tables"}),
+        ("from rfem_jax import report_run", {"rfem_jax", "rfem_jax.report.page.run_page"}),
+        ("import rfem_jax\nrfem_jax.simulate()", {"rfem_jax", "rfem_jax.simulation"}),
+        ('import_module("rfem_jax.report.tables")', {"rfem_jax.report.tables"}),
+        ('A = "rfem_jax.report.tables:format_table"', {"rfem_jax.report.tables"}),
+        ('A = "rfem_jax.schema.json"', set()),
+    ],
+)
+def test_imports_are_seen(text, names, tmp_path):
+    path = tmp_path / "module.py"
+    path.write_text(text, encoding="utf-8")
+    assert set(imported_modules(path)) == names
+
+
+def test_imports_of_computed_names_are_seen_or_refused(tmp_path):
+    path = tmp_path / "module.py"
+    path.write_text("import_module(name)", encoding="utf-8")
+    with pytest.raises(AssertionError, match="cannot read"):
+        set(imported_modules(path))
+    commands = ROOT / "rfem_jax" / "report" / "commands"
+    assert module_name(commands / "init.py") in set(imported_modules(commands / "catalogue.py"))
+
+
+def imported_by_call(call: ast.Call, path: Path):
+    """Names of modules of the package that `import_module` may import: all of a package where a part of the name is
+    computed.  Names that are plain strings are found as such."""
+    argument = call.args[0]
+    if path.name in BY_STRINGS_OF_USERS or isinstance(argument, ast.Constant):
+        return
+    beginning = argument.values[0] if isinstance(argument, ast.JoinedStr) else None
+    of_its_package = isinstance(beginning, ast.FormattedValue) and ast.unparse(beginning.value) == "__package__"
+    assert of_its_package, f"{path}:{call.lineno} imports what this test cannot read"
+    yield from (module_name(one) for one in path.parent.glob("*.py") if one not in (path, path.parent / "__init__.py"))
+
+
+def module_name(path: Path) -> str:
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts)
+
+
+def is_module(name: str) -> bool:
+    path = ROOT / name.replace(".", "/")
+    return path.with_suffix(".py").exists() or (path / "__init__.py").exists()
 
 
 def package_of(path: Path) -> str:

@@ -15,13 +15,15 @@ Source: theory (3.12), (3.13), (5.7), (7.1) to (7.7), (11.4).
 
 import inspect
 import warnings
-from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable, Mapping
+from dataclasses import Field, dataclass, field, fields
 from numbers import Real
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from rfem_jax.description.basics.calls import require_arguments
 from rfem_jax.description.basics.errors import (
+    ABSENT,
+    Checks,
     ChecksItself,
     InputError,
     Problems,
@@ -54,6 +56,15 @@ def setting(
     """A field of a method's class: its default; the dimension of a quantity; the function that checks and converts
     it, called with (value, dimension, its name for messages); why it must be less than 1, "" where it need not be."""
     return field(default=default, metadata={"dimension": dimension, "convert": convert, "below_one": below_one})
+
+
+def _converted(given: Any, of: Field[Any]) -> Any:
+    """The value of a field made by `setting`."""
+    value = of.metadata["convert"](given, of.metadata["dimension"], f"`{of.name}` of the method")
+    reason = of.metadata["below_one"]
+    if reason and value >= 1.0:
+        raise InputError(f"Argument `{of.name}` must be less than 1, but is {value:g}; {reason}.")
+    return value
 
 
 class _MethodClass(type):
@@ -103,13 +114,17 @@ class Method(ChecksItself, metaclass=_MethodClass):
         """Its name in study files and results."""
         return self.names[0]
 
-    def __post_init__(self):
-        problems = Problems()
+    def _check_fields(self, checks: Checks) -> None:
         for one in settings_of(type(self)):
-            with problems.noted():
-                self._convert(one.name, one.default, **one.metadata)
-        problems.refuse()
-        if self.example and self.step is None:
+            given = getattr(self, one.name)
+            given = one.default if given is None else given
+            if given is not None:
+                checks.set(one.name, given, _converted, one)
+        if self.example:
+            checks.relation(("step",), self._require_step)
+
+    def _require_step(self) -> None:
+        if self.step is None:
             raise InputError(
                 f'Argument `step` must be given for the method "{self.name}", but is missing; '
                 f"add for example {self.example}."
@@ -124,16 +139,6 @@ class Method(ChecksItself, metaclass=_MethodClass):
         """Name and settings, as a study file has them and results tell them."""
         settings = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "solver"}
         return {"name": self.name, **settings}
-
-    def _convert(self, name: str, default: Any, dimension: str, convert: Callable, below_one: str) -> None:
-        given = getattr(self, name)
-        given = default if given is None else given
-        if given is None:
-            return
-        value = convert(given, dimension, f"`{name}` of the method")
-        if below_one and value >= 1.0:
-            raise InputError(f"Argument `{name}` must be less than 1, but is {value:g}; {below_one}.")
-        object.__setattr__(self, name, value)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -235,9 +240,12 @@ class Explicit(Method):
     def name(self) -> str:
         return self.solver if isinstance(self.solver, str) else type(self.solver).__name__.lower()
 
-    def __post_init__(self):
-        object.__setattr__(self, "solver", self._known_solver())
-        super().__post_init__()
+    def _check_fields(self, checks: Checks) -> None:
+        checks.convert("solver", _known_solver, self.names)
+        super()._check_fields(checks)
+        checks.relation(("solver", "step", "rtol", "atol"), self._check_steps)
+
+    def _check_steps(self) -> None:
         tolerances = self.rtol is not None or self.atol is not None
         if self.step is not None and tolerances:
             raise InputError(
@@ -251,25 +259,26 @@ class Explicit(Method):
                 "and `atol`, but neither is complete; add for example rtol = 1e-8 and atol = 1e-10."
             )
 
-    def _known_solver(self) -> Any:
-        """The name of one of diffrax's solvers that is as diffrax makes it, which a study file can hold; any other
-        solver as it is."""
-        if isinstance(self.solver, str):
-            return require_choice(self.solver, self.names, "`solver`")
-        kind = type(self.solver)
-        # By the names of its bases: importing diffrax takes long, and nothing else here needs it.
-        if "AbstractERK" not in (base.__name__ for base in kind.__mro__):
-            raise InputError(
-                "Argument `solver` must be an explicit Runge-Kutta method of diffrax, but was "
-                f"{self.solver!r}; write for example diffrax.Dopri8()."
-            )
-        name = kind.__name__.lower()
-        own = kind.__module__.partition(".")[0] == "diffrax" and name in self.names and self.solver == kind()
-        return name if own else self.solver
-
     @property
     def adaptive(self) -> bool:
         return self.rtol is not None
+
+
+def _known_solver(solver: Any, names: tuple[str, ...]) -> Any:
+    """The name of one of diffrax's solvers that is as diffrax makes it, which a study file can hold; any other solver
+    as it is."""
+    if isinstance(solver, str):
+        return require_choice(solver, names, "`solver`")
+    kind = type(solver)
+    # By the names of its bases: importing diffrax takes long, and nothing else here needs it.
+    if "AbstractERK" not in (base.__name__ for base in kind.__mro__):
+        raise InputError(
+            "Argument `solver` must be an explicit Runge-Kutta method of diffrax, but was "
+            f"{solver!r}; write for example diffrax.Dopri8()."
+        )
+    name = kind.__name__.lower()
+    own = kind.__module__.partition(".")[0] == "diffrax" and name in names and solver == kind()
+    return name if own else solver
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -302,8 +311,17 @@ def named_method(name: str = "rk4", **settings: Any) -> Method:
         InputError: an unknown name, and as the class.
     """
     kind = METHOD_CLASSES[require_choice(name, tuple(METHOD_CLASSES), "`name` of the method")]
-    _refuse_settings_of_others(name, kind, settings)
-    return kind(name, **settings) if issubclass(kind, Explicit) else kind(**settings)
+    problems = Problems()
+    others = _settings_of_others(name, kind, settings, problems)
+    own = {key: value for key, value in settings.items() if key not in others}
+    if others:  # what is missing may be what they were meant for
+        own = {one.name: ABSENT for one in settings_of(kind)} | own
+    made = None
+    with problems.noted():
+        made = kind(name, **own) if issubclass(kind, Explicit) else kind(**own)
+    problems.refuse()
+    assert made is not None, "what is wrong has been noted"
+    return made
 
 
 def add_method_class(kind: type[Method]) -> None:
@@ -333,19 +351,20 @@ def setting_names() -> list[str]:
     return list(dict.fromkeys(one.name for kind in found for one in settings_of(kind)))
 
 
-def _refuse_settings_of_others(name: str, kind: type[Method], given: dict[str, Any]) -> None:
-    own = {one.name for one in settings_of(kind)}
-    problems = Problems()
-    for setting_name in (key for key in given if key not in own):
+def _settings_of_others(name: str, kind: type[Method], given: Mapping[str, Any], problems: Problems) -> list[str]:
+    """Settings that other methods have and this one has not; they are noted."""
+    own, others = {one.name for one in settings_of(kind)}, []
+    for key, value in given.items():
         having = [
             f'"{other}"'
             for other, of_other in METHOD_CLASSES.items()
-            if setting_name in {one.name for one in settings_of(of_other)}
+            if key not in own and key in {one.name for one in settings_of(of_other)}
         ]
-        with problems.noted():
-            if having:
-                raise InputError(
-                    f'Argument `{setting_name}` must be left out with the method "{name}", but was given; remove it, '
-                    f"or take a method that has it ({', '.join(having)})."
-                )
-    problems.refuse()
+        if having:
+            others.append(key)
+        if having and value is not ABSENT:
+            problems.found.append(
+                f'Argument `{key}` must be left out with the method "{name}", but was given; remove it, or take a '
+                f"method that has it ({', '.join(having)})."
+            )
+    return others

@@ -31,7 +31,7 @@ def cost_text(study: Study) -> str:
     ]
     if study.tasks.declared:
         # Takes seconds: only where there is something to count.
-        from rfem_jax.report.tasks.task_report import report_on
+        from rfem_jax.report.tasks.catalogue import report_on
 
         for name in study.tasks.declared:
             told = report_on(study, name).simulations() or ["not known beforehand"]
@@ -48,7 +48,7 @@ def times_text(study: Study) -> str:
     one = START_SECONDS + STEP_SECONDS * bodies * study.duration / study.method.step
     told = [f"cases {time_text(len(study.cases) * one)}"]
     if study.tasks.declared:
-        from rfem_jax.report.tasks.task_report import report_on
+        from rfem_jax.report.tasks.catalogue import report_on
 
         for name in study.tasks.declared:
             work = report_on(study, name).work()

@@ -4,9 +4,9 @@ Place in the pipeline: integration -> **run** -> tolerancing, report.
 """
 
 import dataclasses
+import warnings
 from collections.abc import Sequence
 from functools import reduce
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -275,12 +275,13 @@ class Run(eqx.Module):
         return "\n".join([*lines, *(f"remark: {one}" for one in remarks_on(self))])
 
     def report(self, path: str | Path) -> Path:
-        """Write this run, not a batch, as a page `report.html` for any browser; `path` is the file, or a folder.
+        """Former name of `rfem_jax.report_run(run, path)`."""
+        import rfem_jax  # for its lazy names: what shows a run is above this package in the pipeline
 
-        **Returns:** the file.  **Raises:** `InputError` for a batch.
-        """
-        # By its name, since it is above this package in the pipeline.
-        return import_module("rfem_jax.report.page.run_page").write_run(self, path)
+        warnings.warn(
+            "run.report(path) is called rfem_jax.report_run(run, path) now.", DeprecationWarning, stacklevel=2
+        )
+        return rfem_jax.report_run(self, path)
 
     def __str__(self) -> str:
         return self.summary()

@@ -17,7 +17,7 @@ import pytest
 from rfem_jax.description import load_study
 from rfem_jax.report.page.document import write_folder
 from rfem_jax.report.tasks import study_problem
-from rfem_jax.report.tasks.task_report import report_on
+from rfem_jax.report.tasks.catalogue import report_on
 from tests.report import closed_form
 from tests.report.conftest import STUDY, synthetic_run
 from tests.report.page_folder import write_results

@@ -8,8 +8,8 @@ import pytest
 
 from rfem_jax.description import load_study
 from rfem_jax.report.command_line import main
+from rfem_jax.report.tasks.catalogue import report_on
 from rfem_jax.report.tasks.task_overview import tasks_text
-from rfem_jax.report.tasks.task_report import report_on
 from rfem_jax.text_layout import WIDTH
 from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric
 

@@ -17,9 +17,9 @@ from matplotlib.image import imread
 from rfem_jax.description import load_study
 from rfem_jax.report.pictures import write_pictures
 from rfem_jax.report.tasks import study_problem
+from rfem_jax.report.tasks.catalogue import report_on
 from rfem_jax.report.tasks.monte_carlo import _most_felt
 from rfem_jax.report.tasks.sensitivity import Derivatives
-from rfem_jax.report.tasks.task_report import report_on
 from rfem_jax.tolerancing import Tolerances, Uniform, monte_carlo
 from rfem_jax.tolerancing.sensitivities import sensitivity
 

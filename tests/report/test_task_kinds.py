@@ -10,12 +10,14 @@ import pytest
 import rfem_jax.simulation
 from rfem_jax import TaskKind, load_study, register_task, task_kinds
 from rfem_jax.description.tasks import MonteCarloTask, Task, Tasks
+from rfem_jax.description.tasks.catalogue import asked_classes
 from rfem_jax.description.tasks.settings import metric_names, set_fields
 from rfem_jax.description.tolerances.tolerances import error_quantities
 from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
 from rfem_jax.report.output import write_csv
 from rfem_jax.report.style import add_titles, new_figure
+from rfem_jax.report.tasks.catalogue import report_class
 from rfem_jax.report.tasks.task_files import write_task_json
 from rfem_jax.report.tasks.task_report import TaskReport
 
@@ -167,6 +169,22 @@ def test_without_registration_nobody_knows_it(path, refused):
 def test_names_in_use_are_refused(registered, name, command, word):
     with pytest.raises(ValueError, match=word):
         register_task(TaskKind(name, LeverArmsTask, LeverArmsReport, "", "", command=command))
+
+
+def test_classes_may_be_named_by_strings_and_must_be_given(registered):
+    kind = TaskKind("by_name", f"{__name__}:LeverArmsTask", f"{__name__}:LeverArmsReport", "", "")
+    assert (kind.asked_class(), kind.report_class()) == (LeverArmsTask, LeverArmsReport)
+    with pytest.raises(ValueError, match="`reports` of a kind of task"):
+        register_task(TaskKind("by_name", LeverArmsTask, None, "", ""))
+
+
+def test_every_kind_has_both_classes_and_its_words(registered):
+    asked = asked_classes()
+    assert list(asked) == list(task_kinds.task_kinds()) and asked["lever_arms"] is LeverArmsTask
+    for name, asks in asked.items():
+        reports = report_class(name)
+        assert issubclass(asks, Task) and issubclass(reports, TaskReport)
+        assert asks.__name__.removesuffix("Task") == reports.__name__.removesuffix("Report")
 
 
 def test_tasks_in_python_are_of_known_kinds(refused):

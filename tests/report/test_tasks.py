@@ -17,7 +17,7 @@ from rfem_jax.compilation.stages import listening
 from rfem_jax.description import Explicit, GeneralisedAlpha, RungeKutta4, load_study
 from rfem_jax.report import command_line, pictures
 from rfem_jax.report.command_line import main
-from rfem_jax.report.tasks import study_problem, task_report, worst_case
+from rfem_jax.report.tasks import catalogue, study_problem, worst_case
 from rfem_jax.report.tasks.task_overview import tasks_text
 from rfem_jax.tolerancing import Tolerances, monte_carlo
 from rfem_jax.tolerancing import worst_case as search
@@ -149,7 +149,7 @@ def test_the_process_that_draws_is_started_before_anything_is_computed(command, 
     order = []
     monkeypatch.setattr(pictures, "draw_beside", lambda: order.append("started"))
     monkeypatch.setattr(rfem_jax.simulation, "run_cases", lambda *_, **__: order.append("cases") or (None, runs))
-    monkeypatch.setattr(task_report, "do_task", lambda *_: order.append("task") or (True, []))
+    monkeypatch.setattr(catalogue, "do_task", lambda *_: order.append("task") or (True, []))
     assert call(command, task_file, tmp_path / "out") == 0
     assert order[0] == "started" and order[1] in ("cases", "task") and order.count("started") == 1
 
@@ -313,7 +313,7 @@ def test_run_does_the_cases_and_then_every_task(task_file, tmp_path, capsys, mon
         done.append(name)
         return name != "worst_case", [folder / name]
 
-    monkeypatch.setattr(task_report, "do_task", do_task)
+    monkeypatch.setattr(catalogue, "do_task", do_task)
     assert call("run", task_file, tmp_path / "out") == 3  # one task did not succeed
     assert done == ["sensitivity", "monte_carlo", "worst_case", "allocation"]
     assert "23 files written" in capsys.readouterr().out

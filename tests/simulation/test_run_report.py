@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from rfem_jax import assembly_errors
+from rfem_jax import assembly_errors, report_run
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.mechanics.dynamics.centre_lines import trace_shapes
 from tests.report.page_folder import content_of
@@ -73,7 +73,7 @@ def test_arrows_of_loads_stand_in_equilibrium_with_the_weight(small, run, shapes
 
 
 def test_the_page_of_a_run(run, tmp_path):
-    path = run.report(tmp_path)
+    path = report_run(run, tmp_path)
     assert path == tmp_path / "report.html"
     content = content_of(path)
     (case,) = content["cases"]
@@ -86,10 +86,12 @@ def test_the_page_of_a_run(run, tmp_path):
     assert [one["name"] for one in content["animation"]["links"]] == list(run.model.link_names)
     labels = [one["label"] for one in content["histories"]["quantities"]]
     assert {"Force in A", "Moment in D", "A angle", "Rate", "Kinetic energy"} <= set(labels)
-    assert run.report(tmp_path / "mine.html").exists()
+    with pytest.warns(DeprecationWarning, match="report_run"):
+        assert run.report(tmp_path / "mine.html") == tmp_path / "mine.html"
+    assert (tmp_path / "mine.html").exists()
 
 
 def test_a_batch_has_no_page(run, tmp_path):
     batch = jax.tree.map(lambda x: np.stack([x, x]), run)
     with pytest.raises(InputError, match="take one"):
-        batch.report(tmp_path)
+        report_run(batch, tmp_path)

@@ -40,18 +40,6 @@ class WrongSetting(InputError):
     the sentence, and nothing is told beside it."""
 
 
-class WrongKeys(InputError):
-    """Keys of a table are unknown or missing.
-
-    Args: problems, a sentence for each; usable, what the table holds under known keys, and ABSENT under those that are
-        missing or misspelt.
-    """
-
-    def __init__(self, problems: Iterable[str], usable: dict[str, Any]):
-        super().__init__(*problems)
-        self.usable = usable
-
-
 class _Absent:
     def __repr__(self) -> str:
         return "(missing)"
@@ -65,9 +53,7 @@ class Problems:
     """Mistakes in several places, which are told together.
 
     problems = Problems()
-    for entry in entries:
-        with problems.noted():
-            read(entry)
+    found = [problems.attempt(read, entry) for entry in entries]
     problems.refuse()
     """
 
@@ -86,13 +72,11 @@ class Problems:
             self.failed = True
             self.found += error.problems
 
-    def usable(self, read: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-        """Return the table that `read` returns; where its keys are wrong, note that and return what can be used."""
-        try:
-            return read()
-        except WrongKeys as error:
-            self.found += error.problems
-            return error.usable
+    def attempt(self, read: Callable[..., Any], *arguments: Any) -> Any:
+        """Return read(*arguments), or note what is wrong and return ABSENT."""
+        with self.noted():
+            return read(*arguments)
+        return ABSENT
 
     def refuse(self) -> None:
         """Raise InputError with all that was noted, if there is anything; without a sentence where all that is wrong is
@@ -115,17 +99,11 @@ class Checks(Problems):
 
     def value(self, field: str, value: Any, convert: Callable[..., Any], *arguments: Any) -> Any:
         """Return convert(value, *arguments), or note what is wrong with the value and return ABSENT."""
-        try:
-            if value is ABSENT:
-                raise InputError()
-            return convert(value, *arguments)
-        except WrongSetting:
-            raise
-        except InputError as error:
+        found = ABSENT if value is ABSENT else self.attempt(convert, value, *arguments)
+        if found is ABSENT:
             self.wrong.add(field)
             self.failed = True
-            self.found += error.problems
-            return ABSENT
+        return found
 
     def set(self, field: str, value: Any, convert: Callable[..., Any], *arguments: Any) -> None:
         """Set a field of the owner to convert(value, *arguments), unless something is wrong with the value."""
@@ -161,7 +139,7 @@ class ChecksItself:
 
     def _check_fields(self, checks: Checks) -> None:
         """Check and convert every field. A subclass may have a `__post_init__` instead, and then tells what that
-        raises."""
+        raises, where a study file has no key that is misspelt or missing."""
 
 
 def subject(where: str) -> str:

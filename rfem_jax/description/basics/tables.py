@@ -4,10 +4,10 @@ Place in the pipeline: `study_reader` and `study` read every table of the TOML t
 no key is ever ignored.
 """
 
+import inspect
 import re
 import tomllib
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import MISSING, fields
+from collections.abc import Callable, Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,8 +16,6 @@ from rfem_jax.description.basics.errors import (
     ChecksItself,
     InputError,
     Problems,
-    WrongKeys,
-    WrongSetting,
     located,
     nearest,
     require_choice,
@@ -84,65 +82,73 @@ def _is_shallow(content: dict[str, Any]) -> bool:
     return False
 
 
-def keys_of(kind: type, omit: Collection[str] = ()) -> tuple[list[str], list[str]]:
-    """Names of the required and the optional arguments of a dataclass, which are the keys of its table."""
-    named = [one for one in fields(kind) if one.init and one.name not in omit]
-    required = [one.name for one in named if one.default is MISSING and one.default_factory is MISSING]
-    return required, [one.name for one in named if one.name not in required]
+def keys_of(kind: Callable[..., Any], omit: Collection[str] = ()) -> tuple[list[str], list[str]]:
+    """Names of the required and the optional arguments of a class, which are the keys of its table."""
+    arguments = [one for name, one in inspect.signature(kind).parameters.items() if name not in omit]
+    required = [one.name for one in arguments if one.default is one.empty]
+    return required, [one.name for one in arguments if one.default is not one.empty]
 
 
-def checked_table(
-    data: object, place: str, required: Collection[str] = (), optional: Collection[str] = ()
-) -> dict[str, Any]:
-    """Return `data` if it is a table with all `required` and no other than `optional` keys.
+def keys_of_all(kinds: Iterable[Callable[..., Any]], omit: Collection[str] = ()) -> list[str]:
+    """Names of all arguments of several classes."""
+    return sorted({key for kind in kinds for keys in keys_of(kind, omit) for key in keys})
 
-    Args:
-        data: what stands in the file.
-        place: the table's header, for the message, such as "[simulation]".
-    Raises:
-        InputError: not a table, or one without any known key, of which nothing else is told.
-        WrongKeys: an unknown key (with the nearest known one), a missing key.
-    """
+
+def require_table(data: object, place: str) -> dict[str, Any]:
+    """Return `data` if it is a table; `place` is its header, such as "[simulation]"."""
     if data is ABSENT:
         raise InputError()  # its name is misspelt, which is told
     if not isinstance(data, dict):
         raise InputError(f"{place} must be a table, but was {data!r}; write it as {place}.")
-    known = (*required, *optional)
-    if not data and len(required) > 1:
+    return data
+
+
+def checked_table(
+    data: object, place: str, required: Collection[str], optional: Collection[str], problems: Problems
+) -> dict[str, Any]:
+    """Return what stands in a table under known keys, and ABSENT under those that are missing or misspelt.
+
+    Args:
+        data: what stands in the file.
+        place: the table's header, for the message, such as "[simulation]".
+        required, optional: the known keys.
+        problems: where keys are noted that are unknown (with the nearest known one) or missing.
+    Raises:
+        InputError: not a table, or one without any known key, of which nothing else is told.
+    """
+    table, known = require_table(data, place), (*required, *optional)
+    if not table and len(required) > 1:
         listed = ", ".join(f"`{key}`" for key in required)
         raise InputError(f"{place} must have the keys {listed}, but is empty; add them there.")
-    unknown = [key for key in data if key not in known]
-    problems = [f"{place} must have known keys only, but has `{key}`; {suggestion(key, known)}" for key in unknown]
+    unknown = [key for key in table if key not in known]
+    wrong = [f"{place} must have known keys only, but has `{key}`; {suggestion(key, known)}" for key in unknown]
     meant = [nearest(key, known) for key in unknown]
-    if required and len(unknown) == len(data) and not any(meant):
-        raise InputError(*problems)
-    problems += [
+    if required and len(unknown) == len(table) and not any(meant):
+        raise InputError(*wrong)
+    problems.found += wrong
+    problems.found += [
         f"{place} must have the key `{key}`, but it is missing; add `{key}` there."
         for key in required
-        if key not in data and key not in meant
+        if key not in table and key not in meant
     ]
-    if problems:
-        absent = [key for key in known if key not in data and (key in required or key in meant)]
-        usable = {key: value for key, value in data.items() if key in known}
-        raise WrongKeys(problems, usable | dict.fromkeys(absent, ABSENT))
-    return data
+    absent = [key for key in known if key not in table and (key in required or key in meant)]
+    return {key: value for key, value in table.items() if key in known} | dict.fromkeys(absent, ABSENT)
 
 
 def build(kind: Callable[..., Part], settings: dict[str, Any], place: str, problems: Problems) -> Part:
     """Return kind(**settings), checked even where it cannot be made.
 
     Args:
-        kind: a class that tells all its mistakes, or one with a `__post_init__` of its own (see `build_by_trial`).
+        kind: a class that tells all its mistakes.
         settings: its arguments, ABSENT those that cannot be read.
         place: the table's header.
         problems: what is known to be wrong with the table.
     Raises:
         InputError: with `problems` and everything that is wrong with the arguments.
     """
+    own = getattr(kind, "__post_init__", ChecksItself.__post_init__) is not ChecksItself.__post_init__
     made = None
-    if getattr(kind, "__post_init__", ChecksItself.__post_init__) is not ChecksItself.__post_init__:
-        made = build_by_trial(kind, settings, place, problems)
-    else:
+    if not (own and any(value is ABSENT for value in settings.values())):  # checks of its own do not know ABSENT
         with problems.noted(), located(place):
             made = kind(**settings)
     problems.refuse()
@@ -151,36 +157,20 @@ def build(kind: Callable[..., Part], settings: dict[str, Any], place: str, probl
     return made
 
 
-def build_by_trial(kind: Callable[..., Part], settings: dict[str, Any], place: str, problems: Problems) -> Part | None:
-    """As `build`, of a class that tells its first mistake only: it is asked again without the argument that it names.
+def read_table(kind: Callable[..., Part], table: object, place: str, **given: Any) -> Part:
+    """Return the object of a class that a table describes, whose keys are the arguments beside those `given`.
 
-    Returns: None where something is wrong, which `problems` then hold.
+    Raises: InputError with everything that is wrong with the table.
     """
-    left = {name: value for name, value in settings.items() if value is not ABSENT}
-    whole = len(left) == len(settings)
-    while True:
-        try:
-            made = kind(**left)
-            return made if whole else None
-        except TypeError:
-            if whole:
-                raise
-            return None  # a required argument is absent, or was left out
-        except WrongSetting:
-            raise
-        except InputError as error:
-            named = {match[1] for problem in error.problems if (match := re.match(r"Argument `(\w+)`", problem))}
-            # Where an argument is left out, what is said of one that is not there may be a consequence of that.
-            if whole or not named.isdisjoint(left):
-                problems.found += [f"{place}: {problem}" for problem in error.problems]
-            if named.isdisjoint(left):
-                return None
-        left = {name: value for name, value in left.items() if name not in named}
-        whole = False
+    problems = Problems()
+    settings = checked_table(table, place, *keys_of(kind, omit=given), problems)
+    return build(kind, {**settings, **given}, place, problems)
 
 
 def checked_list(data: object, place: str) -> list[dict[str, Any]]:
     """Return `data` if it is a list of tables; `place` is its header, such as "[[cases]]"."""
+    if data is ABSENT:
+        raise InputError()  # as above
     if not isinstance(data, list) or any(not isinstance(entry, dict) for entry in data):
         raise InputError(
             f"{place} must be a list of tables, but was {data!r}; start each with {place} in double brackets."
@@ -194,19 +184,36 @@ def named_place(header: str, entry: dict[str, Any], number: int) -> str:
     return f"{header} `{name}`" if isinstance(name, str) else f"{header} number {number}"
 
 
-def kind_of(content: dict[str, Any], known: Mapping[str, object], key: str, place: str, problems: Problems) -> str:
-    """Return the kind of a table, content[key], without which its other keys cannot be judged.
+def build_of_kind(
+    content: dict[str, Any],
+    key: str,
+    kinds: Mapping[str, Callable[..., Part]],
+    keys: Callable[[str], tuple[list[str], list[str]]],
+    place: str,
+    problems: Problems,
+    **given: Any,
+) -> Part:
+    """Return the object of a table whose class is chosen by one of its keys.
 
-    Args: problems, what is known to be wrong with the table.
-    Raises: InputError with `problems` where the kind is absent or unknown.
+    Args:
+        content: what stands under keys of all kinds, ABSENT what is misspelt or missing.
+        key: content[key] is the name of a kind, without which the other keys cannot be judged.
+        kinds: {name: class}.
+        keys: gives the required and the optional keys of a kind.
+        place: the table's header.
+        problems: what is known to be wrong with the table.
+        given: further arguments of the class.
+    Raises: InputError with `problems` and everything else that is wrong.
     """
     kind = ABSENT
     if content[key] is not ABSENT:
         with problems.noted(), located(place):
-            kind = require_choice(content[key], tuple(known), key)
+            kind = require_choice(content[key], tuple(kinds), key)
     if kind is ABSENT:
         problems.refuse()
-    return kind
+    settings = keys_of_kind(content, f'{place} of {key} "{kind}"', *keys(kind), problems)
+    settings = {name: value for name, value in settings.items() if name != key}
+    return build(kinds[kind], {**settings, **given}, place, problems)
 
 
 def keys_of_kind(
@@ -215,14 +222,13 @@ def keys_of_kind(
     """Return the keys that the kind of a table has, of one with the keys of all kinds; note those that it has not."""
     known = (*required, *optional)
     written = {name: value for name, value in content.items() if value is not ABSENT or name in known}
-    return problems.usable(lambda: checked_table(written, place, required, optional))
+    return checked_table(written, place, required, optional, problems)
 
 
 def read_list(entries: object, header: str, read: Callable[..., Part], *known: Any) -> list[Part]:
     """Return what read(table, place, *known) makes of the tables [[header]]; raise InputError with all mistakes."""
-    found, problems = [], Problems()
-    for number, entry in enumerate(checked_list(entries, header), start=1):
-        with problems.noted():
-            found.append(read(entry, named_place(header, entry, number), *known))
+    problems = Problems()
+    tables = enumerate(checked_list(entries, header), start=1)
+    found = [problems.attempt(read, table, named_place(header, table, number), *known) for number, table in tables]
     problems.refuse()
     return found

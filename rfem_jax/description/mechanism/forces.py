@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rfem_jax.description.basics.errors import ChecksItself, InputError, require_choice, require_name
+from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError, require_choice, require_name
 from rfem_jax.description.basics.joint_kinds import KINDS, Freedom
 from rfem_jax.description.basics.own_functions import as_tree, checked_function
 from rfem_jax.description.basics.units import (
@@ -88,8 +88,8 @@ class JointSpring(ChecksItself, JointForce):
     preload: Quantity = 0.0
     motion: str | None = None
 
-    def __post_init__(self):
-        _check_names(self)
+    def _check_fields(self, checks: Checks) -> None:
+        _check_names(checks)
 
     def resolved(self, joint: Joint) -> "JointSpring":
         freedom = _freedom_of(self, joint)
@@ -125,8 +125,8 @@ class JointForceTable(ChecksItself, JointForce):
     forces: Quantities
     motion: str | None = None
 
-    def __post_init__(self):
-        _check_names(self)
+    def _check_fields(self, checks: Checks) -> None:
+        _check_names(checks)
 
     def resolved(self, joint: Joint) -> "JointForceTable":
         freedom = _freedom_of(self, joint)
@@ -167,12 +167,12 @@ class JointForceFunction(ChecksItself, JointForce):
     function: Law
     motion: str | None = None
 
-    def __post_init__(self):
-        _check_names(self)
+    def _check_fields(self, checks: Checks) -> None:
+        _check_names(checks)
         where = f"`function` of force `{self.name}`"
-        tree = as_tree(self.function, where, "position and rate", "pass for example lambda q, v: -3.0 * q**3")
-        tree = checked_function(tree, where, "position, rate", ("float64", "float64"))
-        object.__setattr__(self, "function", tree)
+        checks.convert("function", as_tree, where, "position and rate", "pass for example lambda q, v: -3.0 * q**3")
+        if checks.passed("function"):
+            checks.convert("function", checked_function, where, "position, rate", ("float64", "float64"))
 
     def resolved(self, joint: Joint) -> "JointForceFunction":
         _freedom_of(self, joint)
@@ -224,9 +224,9 @@ class JointFriction(ChecksItself, JointForce):
     load_scale: Quantity = 1e-3
     motion: str | None = None
 
-    def __post_init__(self):
-        _check_names(self)
-        require_choice(self.law, FRICTION_LAWS, f"`law` of force `{self.name}`")
+    def _check_fields(self, checks: Checks) -> None:
+        _check_names(checks)
+        checks.convert("law", require_choice, FRICTION_LAWS, f"`law` of force `{self.name}`")
 
     def resolved(self, joint: Joint) -> "JointFriction":
         if joint.clearance is not None:
@@ -311,9 +311,10 @@ class JointFriction(ChecksItself, JointForce):
 _POSITIVE = ("radius", "length", "sliding_rate", "load_scale")
 
 
-def _check_names(force: JointForce) -> None:
-    require_name(force.name, "`name` of a force")
-    require_name(force.joint, f"`joint` of force `{force.name}`")
+def _check_names(checks: Checks) -> None:
+    checks.convert("name", require_name, "`name` of a force")
+    if checks.passed("name"):  # which has that of the joint for a force in a joint's table
+        checks.convert("joint", require_name, f"`joint` of force `{checks.owner.name}`")
 
 
 def _motion_of(force: JointForce, joint: Joint) -> str:

@@ -8,12 +8,18 @@ acts in a joint may stand in the joint's own table, too, as `stiffness`, `dampin
 a force at a point says by its other keys what it is. All of this is translated here, and nowhere else.
 """
 
-from collections.abc import Collection
-from dataclasses import fields
 from typing import Any
 
 from rfem_jax.description.basics.errors import ABSENT, InputError, Problems, located, require_choice
-from rfem_jax.description.basics.tables import build, checked_table, keys_of, keys_of_kind, kind_of
+from rfem_jax.description.basics.tables import (
+    build,
+    build_of_kind,
+    checked_table,
+    keys_of,
+    keys_of_all,
+    keys_of_kind,
+    read_table,
+)
 from rfem_jax.description.mechanism.bearings import Bearing
 from rfem_jax.description.mechanism.clearance import Clearance
 from rfem_jax.description.mechanism.compliance import Compliance, TablesByDirection
@@ -35,7 +41,7 @@ AT_POINTS = {"force": "point_force", "moment": "point_moment"}  # kinds that nee
 FUNCTION_KEYS = ("breakpoints",)  # of functions, which a file cannot hold
 IN_JOINTS = {"spring": JointSpring, "friction": JointFriction}  # tables of a joint, which is their `joint`
 OF_ITS_JOINT = ("name", "joint")
-TABLES_OF_JOINTS: dict[str, type[Bearing] | type[Clearance]] = {"bearing": Bearing, "clearance": Clearance}
+TABLES_OF_JOINTS = {"compliance": Compliance, "bearing": Bearing, "clearance": Clearance}
 JOINT_KEYS = ("stiffness", "damping", *IN_JOINTS)  # beside the arguments of Joint
 
 
@@ -43,35 +49,18 @@ def read_joint(table: object, place: str) -> tuple[Joint, list[JointForce]]:
     """Return the joint of a table [[mechanism.joints]] and the forces that stand in it."""
     problems = Problems()
     required, optional = keys_of(Joint)
-    settings = dict(problems.usable(lambda: checked_table(table, place, required, (*optional, *JOINT_KEYS))))
+    settings = checked_table(table, place, required, (*optional, *JOINT_KEYS), problems)
     of_joint = {key: settings.pop(key) for key in JOINT_KEYS if key in settings}
-    given = settings.get("compliance", ABSENT)
-    if given is not ABSENT:
-        settings["compliance"] = ABSENT
-        with problems.noted():
-            settings["compliance"] = Compliance(**checked_table(given, f"{place} compliance", *keys_of(Compliance)))
     for key, kind in TABLES_OF_JOINTS.items():
-        given = settings.get(key, ABSENT)
-        if given is not ABSENT:
-            settings[key] = ABSENT
-            with problems.noted():
-                settings[key] = _read_part(kind, given, f"{place} {key}")
+        if key in settings:
+            settings[key] = problems.attempt(read_table, kind, settings[key], f"{place} {key}")
     if not {"stiffness", "damping"}.isdisjoint(of_joint):
-        written = "compliance" in settings
-        settings["compliance"] = ABSENT
-        with problems.noted():
-            settings["compliance"] = _by_direction(of_joint, written, place)
+        settings["compliance"] = problems.attempt(_by_direction, of_joint, "compliance" in settings, place)
     forces: list[JointForce] = []
     for key in IN_JOINTS:
         with problems.noted():
             forces += _forces_in_joint(of_joint.get(key, []), key, settings["name"], place)
     return build(Joint, settings, place, problems), forces
-
-
-def _read_part(kind: type[Bearing] | type[Clearance], table: object, place: str) -> Bearing | Clearance:
-    problems = Problems()
-    settings = problems.usable(lambda: checked_table(table, place, *keys_of(kind)))
-    return build(kind, settings, place, problems)
 
 
 def _by_direction(of_joint: dict[str, Any], has_compliance: bool, place: str) -> TablesByDirection:
@@ -93,7 +82,8 @@ def _by_direction(of_joint: dict[str, Any], has_compliance: bool, place: str) ->
                     f"{place} {key} must be a table of directions that the joint holds, but was {of_joint[key]!r}; "
                     f"write {key} = {{ radial = ... }}, or, along a free motion, spring = {{ {key} = ... }}."
                 )
-            tables.append(checked_table(of_joint.get(key, {}), f"{place} {key}", (), [*TablesByDirection.keys()]))
+            given, known = of_joint.get(key, {}), TablesByDirection.keys()
+            tables.append(checked_table(given, f"{place} {key}", (), known, problems))
     problems.refuse()
     return TablesByDirection.of(*tables)
 
@@ -118,7 +108,7 @@ def _force_in_joint(
     required, optional = keys_of(kind, omit=OF_ITS_JOINT)
     needed = ("motion",) if several else ()
     left = [one for one in optional if one not in needed]
-    settings = problems.usable(lambda: checked_table(entry, place, (*required, *needed), left))
+    settings = checked_table(entry, place, (*required, *needed), left, problems)
     motion = settings.get("motion")
     if several and isinstance(motion, str):
         name = f"{name}_{motion}"
@@ -128,7 +118,8 @@ def _force_in_joint(
 def read_spring(table: object, place: str) -> Force:
     """Return the spring of a table [[mechanism.springs]]: between two points, or along a motion of a `joint`."""
     problems = Problems()
-    content = problems.usable(lambda: checked_table(table, place, (), _keys_of_all(SPRINGS)))
+    known = keys_of_all((FORCES[kind] for kind in SPRINGS), omit=FUNCTION_KEYS)
+    content = checked_table(table, place, (), known, problems)
     kind = "joint_spring" if "joint" in content else "point_spring_table" if "lengths" in content else "point_spring"
     settings = keys_of_kind(content, f"{place} {spring_place(kind)}", *keys_of(FORCES[kind]), problems)
     return build(FORCES[kind], settings, place, problems)
@@ -137,7 +128,7 @@ def read_spring(table: object, place: str) -> Force:
 def read_force(table: object, place: str) -> Force:
     """Return the force of a table [[mechanism.forces]]."""
     problems = Problems()
-    known = [*_keys_of_all(FORCES), "frame"]
+    known = [*keys_of_all(FORCES.values(), omit=FUNCTION_KEYS), "frame"]
     at_point = next((kind for key, kind in AT_POINTS.items() if isinstance(table, dict) and key in table), None)
     needed = () if at_point and isinstance(table, dict) and "kind" not in table else ("kind",)
     said = table.get("kind", at_point) if isinstance(table, dict) else None
@@ -145,14 +136,12 @@ def read_force(table: object, place: str) -> Force:
         # The nearest key of this kind is meant; keys of others are told by name below.
         required, optional = force_keys(said)
         known = [key for key in known if key in table or key in (*required, *optional)]
-    content = dict(problems.usable(lambda: checked_table(table, place, needed, [*known, "kind"])))
-    content.setdefault("kind", at_point)
-    kind = kind_of(content, FORCES, "kind", place, problems)
+    content = checked_table(table, place, needed, [*known, "kind"], problems)
+    kind = content.setdefault("kind", at_point)
     if kind in AT_POINTS.values() and "frame" in content:
         with problems.noted():
             _frame_as_axes(content, place)
-    settings = keys_of_kind(content, f'{place} of kind "{kind}"', *force_keys(kind), problems)
-    return build(FORCES[kind], {name: value for name, value in settings.items() if name != "kind"}, place, problems)
+    return build_of_kind(content, "kind", FORCES, force_keys, place, problems)
 
 
 def force_keys(kind: str) -> tuple[list[str], list[str]]:
@@ -178,8 +167,3 @@ def _frame_as_axes(content: dict[str, Any], place: str) -> None:
         content["axes"] = require_choice(frame, AXES, "frame")
     if both:
         raise InputError(f"{place} must have either `frame` or `axes`, but has both; remove one of the two.")
-
-
-def _keys_of_all(kinds: Collection[str]) -> list[str]:
-    """The keys of some kinds of forces, that of functions left out."""
-    return sorted({field.name for kind in kinds for field in fields(FORCES[kind])} - {*FUNCTION_KEYS})

@@ -36,7 +36,10 @@ from rfem_jax.description.study_file.study_reader import (
     MECHANISM_KEYS,
     SHAPES,
     SIMULATION_KEYS,
+    drive_keys,
+    section_keys,
 )
+from rfem_jax.description.tasks.catalogue import asked_classes
 from rfem_jax.description.tolerances.tolerances import CorrelatedTolerances, SpecifiedTolerance
 from rfem_jax.description.tolerances.zones import SpecifiedZone
 from rfem_jax.task_kinds import task_kinds
@@ -98,9 +101,8 @@ def key_tables() -> list[KeyTable]:
     tables = [top, _table("[mechanism]", Mechanism, *MECHANISM_KEYS, _IN_A_FILE)]
     tables.append(_table("[mechanism.materials.NAME]", Material, *keys_of(Material, omit=("name",))))
     for shape, kind in SHAPES.items():
-        required, optional = keys_of(kind, omit=("name",))
         header, own = f'[mechanism.sections.NAME] of shape "{shape}"', {"shape": f'"{shape}"'}
-        tables.append(_table(header, kind, ["shape", *required], optional, own))
+        tables.append(_table(header, kind, *section_keys(shape), own))
     for header, kind in (
         ("[[mechanism.links]]", Link),
         ("point_masses of [[mechanism.links]]", PointMass),
@@ -108,9 +110,9 @@ def key_tables() -> list[KeyTable]:
     ):
         tables.append(_table(header, kind, *keys_of(kind), _IN_A_FILE))
     tables += [*_joint_tables(), *_force_tables()]
-    for name, (kind, required, optional) in DRIVES.items():
+    for name, kind in DRIVES.items():
         header, own = f'[drive] or [[drives]] of kind "{name}"', {"kind": f'"{name}"'}
-        tables.append(_table(header, kind, ("joint", "kind", *required), (*optional, "motion"), own))
+        tables.append(_table(header, kind, *drive_keys(name), own))
     tables += _simulation_tables()
     tables.append(_table("[[cases]]", Case, *CASE_KEYS))
     tolerance = _table("[tolerances] ERROR", SpecifiedTolerance, *keys_of(SpecifiedTolerance, omit=("error",)))
@@ -120,8 +122,8 @@ def key_tables() -> list[KeyTable]:
     either = Key("JOINT.position = ...", "-", "or coaxiality, parallelism, perpendicularity: a diameter, or a table")
     tables.append(KeyTable(zone.header, (either, *zone.keys)))
     tables.append(_table("[[tolerances.correlated]]", CorrelatedTolerances, *keys_of(CorrelatedTolerances)))
-    for name, kind in task_kinds().items():
-        for header, described, required, optional in kind.asked_class().tables(f"[{name}]"):
+    for name, kind in asked_classes().items():
+        for header, described, required, optional in kind.tables(f"[{name}]"):
             tables.append(_table(header, described, required, optional))
     return tables
 

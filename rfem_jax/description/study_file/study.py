@@ -25,7 +25,7 @@ from rfem_jax.description.basics.errors import (
     suggestion,
 )
 from rfem_jax.description.basics.notebook_tables import study_html
-from rfem_jax.description.basics.tables import checked_list, checked_table, named_place, read_toml
+from rfem_jax.description.basics.tables import checked_table, read_list, read_toml
 from rfem_jax.description.basics.units import positive_quantity, quantity
 from rfem_jax.description.drives.driven_motions import (
     AnyDrive,
@@ -141,7 +141,7 @@ class Study(ChecksItself):
         if self.start is not None:
             checks.convert("start", require_choice, STARTS, "start")
             checks.relation(("mechanism", "start"), self._set_start)
-        checks.relation(("mechanism", "drive"), self._check_design)
+        checks.relation(("mechanism", "drive", "design"), self._check_design)
         checks.relation(("drive", "duration"), self._check_drive_end)
         checks.relation(("mechanism", "cases"), self._check_cases)
         checks.relation(("mechanism", "drive", "tasks"), self._check_tasks)
@@ -249,7 +249,8 @@ class Study(ChecksItself):
     @property
     def design_values(self) -> dict[str, float]:
         """Values [SI units] that the design sets; what could not be read is none."""
-        return {name: value for name, value in self.design.items() if isinstance(value, float)}
+        design = self.design if isinstance(self.design, dict) else {}
+        return {name: value for name, value in design.items() if isinstance(value, float)}
 
     @property
     def designed_drive(self) -> AnyDrive | tuple[AnyDrive, ...] | None:
@@ -324,52 +325,42 @@ def _read_study(content: dict[str, Any], path: Path) -> Study:
     """The study of the tables of a file; what is wrong in one table does not hide what is wrong in others."""
     problems = Problems()
     required, optional = STUDY_KEYS
-    content = problems.usable(lambda: checked_table(content, "The top level", required, (*optional, *task_kinds())))
+    content = checked_table(content, "The top level", required, (*optional, *task_kinds()), problems)
     parts: dict[str, Any] = {"title": path.stem, "drive": None, "path": path}
     parts |= {name: content[name] for name in ("title", "note", "metrics") if name in content}
     readers: dict[str, Callable[[Any], Any]] = {
         "mechanism": read_mechanism, "drive": read_drive, "drives": read_drives, "simulation": read_simulation,
         "cases": _read_cases,
     }  # fmt: skip
-    there = {name: table for name, table in content.items() if table is not ABSENT}
     for name, read in readers.items():
         if name in content:
-            parts[name] = ABSENT
-            with problems.noted(), known_while_reading(parts.get("mechanism")):
-                parts[name] = read(there[name]) if name in there else ABSENT
+            with known_while_reading(parts.get("mechanism")):
+                parts[name] = problems.attempt(read, content[name])
     if "design" in content:
-        parts["design"] = there.get("design", ABSENT)
+        parts["design"] = content["design"]
     if "drives" in parts:
         drive, drives = parts["drive"], parts.pop("drives")
         parts["drive"] = ABSENT if ABSENT in (drive, drives) else (*each_drive(drive), *drives)
-    parts["tasks"] = ABSENT
     drives = None if parts["drive"] is ABSENT else each_drive(parts["drive"])
-    with problems.noted(), known_while_reading(parts["mechanism"], drives):
-        tasks = read_tasks(there)
-        parts["tasks"] = ABSENT if content.get("tolerances") is ABSENT else tasks
+    with known_while_reading(parts["mechanism"], drives):
+        parts["tasks"] = problems.attempt(read_tasks, {key: one for key, one in content.items() if one is not ABSENT})
+    if content.get("tolerances") is ABSENT:
+        parts["tasks"] = ABSENT
     times = ("duration", "method", "save_every", "start")
     simulation = parts.pop("simulation")
     parts |= dict.fromkeys(times, ABSENT) if simulation is ABSENT else dict(zip(times, simulation, strict=True))
-    study = None
-    with problems.noted():
-        study = Study(**parts)
+    study = problems.attempt(lambda: Study(**parts))
     problems.refuse()
-    assert study is not None, "what is missing has been noted"
     return study
 
 
 def _read_cases(entries: object) -> tuple[Case, ...]:
-    header, cases, problems = "[[cases]]", [], Problems()
-    for number, entry in enumerate(checked_list(entries, header), start=1):
-        with problems.noted():
-            cases.append(_read_case(entry, named_place(header, entry, number)))
-    problems.refuse()
-    return tuple(cases)
+    return tuple(read_list(entries, "[[cases]]", _read_case))
 
 
 def _read_case(entry: object, place: str) -> Case:
     problems, case = Problems(), None
-    settings = problems.usable(lambda: checked_table(entry, place, *CASE_KEYS))
+    settings = checked_table(entry, place, *CASE_KEYS, problems)
     with problems.noted(), located(place) if settings["name"] is ABSENT else nullcontext():
         case = Case(**settings)
     problems.refuse()

@@ -4,10 +4,10 @@
     settings        what several kinds share: metrics, limits, starts, numbers
     sensitivity, monte_carlo, worst_case, allocation, optimise, sweep, reliability
     costs           bounds and costs of tolerances that are to be found
+    catalogue       the class of every kind that `rfem_jax.task_kinds` lists
     study_tasks     the tolerances and tasks of one study
 
-Place in the pipeline: `study` holds the tasks; `rfem_jax.task_kinds` lists their kinds; `rfem_jax.report.tasks` does
-and shows them.
+Place in the pipeline: `study` holds the tasks; `rfem_jax.report.tasks` does and shows them.
 """
 
 from rfem_jax.description.tasks.allocation import AllocationTask, ErrorCost

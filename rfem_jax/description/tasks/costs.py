@@ -86,17 +86,14 @@ def read_with_costs(
     """The task of class `cls` from its `table` with `keys` (required, optional), whose table `cost` becomes its
     `costs`; the tolerances of the study serve as their scales. Raises: InputError."""
     problems = Problems()
-    settings = problems.usable(lambda: dict(checked_table(table, place, *keys)))
+    settings = checked_table(table, place, *keys, problems)
     bounds, cost = settings.get("bounds", {}), settings.pop("cost", {})
     if not isinstance(bounds, dict) or not bounds:  # then any error may have a cost
         bounds = {name: None for name in cost if "." in name} if isinstance(cost, dict) else {}
     widths = {} if tolerances is None else tolerances.sizes()
     if tolerances is not None and isinstance(bounds, dict):
         settings["zones"] = tuple(zone for zone in tolerances.zones if zone.name in bounds)
-    costs: Any = ABSENT
-    if cost is not ABSENT:
-        with problems.noted():
-            costs = _read_costs(f"{place.removesuffix(']')}.cost]", cost, bounds, widths)
+    costs = problems.attempt(_read_costs, f"{place.removesuffix(']')}.cost]", cost, bounds, widths)
     return build(cls, {"costs": costs, **settings}, place, problems)
 
 
@@ -175,7 +172,7 @@ def _read_costs(place: str, table: object, bounds: dict[str, Any], widths: dict[
     required, optional = keys_of(ErrorCost)
     common = tuple(key for key in (*required, *optional) if key != "at")
     problems = Problems()
-    checked = problems.usable(lambda: checked_table(table, place, optional=(*common, *bounds)))
+    checked = checked_table(table, place, (), (*common, *bounds), problems)
     shared = {key: value for key, value in checked.items() if key in common}
     costs = {}
     for name, pair in bounds.items():
@@ -200,7 +197,7 @@ def _has_dimension(name: object) -> bool:
 def _read_cost(place: str, name: str, table: object, shared: dict[str, Any], default: Any) -> ErrorCost:
     """The cost of one error; `default` is its scale where its table has none."""
     problems = Problems()
-    own = problems.usable(lambda: checked_table(table, f"{place} `{name}`", *keys_of(ErrorCost)))
+    own = checked_table(table, f"{place} `{name}`", *keys_of(ErrorCost), problems)
     at = own.get("at", default)
     with problems.noted(), located(place):
         try:

@@ -10,6 +10,7 @@ from typing import Any
 from rfem_jax.description.basics.errors import ChecksItself, InputError, Problems, suggestion
 from rfem_jax.description.mechanism.mechanism import Mechanism
 from rfem_jax.description.parameters.deviations import require_sizes
+from rfem_jax.description.tasks.catalogue import asked_classes
 from rfem_jax.description.tasks.task import Task
 from rfem_jax.description.tolerances.tolerances import SpecifiedTolerances, read_tolerances
 from rfem_jax.task_kinds import task_kinds
@@ -30,17 +31,15 @@ class Tasks(ChecksItself):
     asked: dict[str, Task]
 
     def __init__(self, tolerances: SpecifiedTolerances | None = None, **asked: Task | None):
-        kinds = task_kinds()
+        kinds = asked_classes()
         problems = []
         for name, task in asked.items():
             if name not in kinds:
                 problems.append(
                     f"Argument `{name}` must be a kind of task, but there is no such kind; {suggestion(name, kinds)}"
                 )
-            elif task is not None and not isinstance(task, kinds[name].asked_class()):
-                problems.append(
-                    f"Argument `{name}` must be a {kinds[name].asked_class().__name__}, but was {task!r}; make one."
-                )
+            elif task is not None and not isinstance(task, kinds[name]):
+                problems.append(f"Argument `{name}` must be a {kinds[name].__name__}, but was {task!r}; make one.")
         if problems:
             raise InputError(*problems)
         found = {name: asked[name] for name in kinds if asked.get(name) is not None}
@@ -87,9 +86,9 @@ def read_tasks(content: dict[str, Any]) -> Tasks:
     tolerances, found, problems = None, {}, Problems()
     with problems.noted():
         tolerances = read_tolerances(content["tolerances"]) if "tolerances" in content else None
-    for name, kind in task_kinds().items():
+    for name, kind in asked_classes().items():
         with problems.noted():
             if name in content:
-                found[name] = kind.asked_class().read(content[name], f"[{name}]", tolerances)
+                found[name] = kind.read(content[name], f"[{name}]", tolerances)
     problems.refuse()
     return Tasks(tolerances, **found)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar
 
 from rfem_jax.description.basics.errors import ChecksItself, Problems
-from rfem_jax.description.basics.tables import build, checked_table, keys_of
+from rfem_jax.description.basics.tables import keys_of, read_table
 from rfem_jax.description.mechanism.mechanism import Mechanism
 from rfem_jax.description.metrics.subjects import require_metric, subjects_of
 from rfem_jax.description.parameters.deviations import require_deviation, require_zone
@@ -39,9 +39,7 @@ class Task(ChecksItself):
 
         Raises: InputError for unknown and missing keys and bad values.
         """
-        problems = Problems()
-        settings = problems.usable(lambda: checked_table(table, place, *keys_of(cls)))
-        return build(cls, settings, place, problems)
+        return read_table(cls, table, place)
 
     def resolved(self, mechanism: Mechanism, name: str) -> "Task":
         """The same task, called `name`, with "*" replaced by the mechanism's joints.

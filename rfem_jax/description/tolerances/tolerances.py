@@ -24,7 +24,7 @@ from rfem_jax.description.basics.errors import (
 )
 from rfem_jax.description.basics.iso_fits import clearance_fit, is_fit
 from rfem_jax.description.basics.iso_fits import deviations as deviations_of_code
-from rfem_jax.description.basics.tables import build, checked_list, checked_table, keys_of
+from rfem_jax.description.basics.tables import build, checked_list, checked_table, keys_of, read_table, require_table
 from rfem_jax.description.basics.units import DERIVED, Quantity, positive_quantity, quantity
 from rfem_jax.description.tolerances.error_catalogue import error_dimension, knows_dimension
 from rfem_jax.description.tolerances.zones import CHARACTERISTICS, SpecifiedZone, is_zone
@@ -238,7 +238,7 @@ class SpecifiedTolerances(ChecksItself):
 def read_tolerances(table: object) -> SpecifiedTolerances:
     """The tolerances of the table [tolerances]. Raises: InputError for unknown keys and bad values."""
     place = "[tolerances]"
-    checked = checked_table(table, place, optional=table if isinstance(table, dict) else ())
+    checked = require_table(table, place)
     alone: list[SpecifiedTolerance] = []
     groups: list[CorrelatedTolerances] = []
     zones: list[SpecifiedZone] = []
@@ -255,7 +255,7 @@ def read_tolerances(table: object) -> SpecifiedTolerances:
     with problems.noted():
         for entry in checked_list(checked.get("correlated", []), header):
             with problems.noted():
-                groups.append(_read_group(entry, header))
+                groups.append(read_table(CorrelatedTolerances, entry, header))
     problems.refuse()
     with located(place):
         return SpecifiedTolerances(tuple(alone), tuple(groups), tuple(zones))
@@ -267,8 +267,7 @@ def _read_tolerance(error: str, entry: object, place: str) -> SpecifiedTolerance
         error_dimension(error, CHARACTERISTICS)
     known = not problems.found
     settings = entry if isinstance(entry, dict) else {"half_width": entry}
-    keys = keys_of(SpecifiedTolerance, ("error",))
-    settings = problems.usable(lambda: checked_table(settings, f"{place} `{error}`", *keys))
+    settings = checked_table(settings, f"{place} `{error}`", *keys_of(SpecifiedTolerance, ("error",)), problems)
     if not known:  # nor the unit of its values
         settings = settings | {key: ABSENT for key in ("half_width", "interval") if key in settings}
     return build(SpecifiedTolerance, {"error": error, **settings}, place, problems)
@@ -277,14 +276,8 @@ def _read_tolerance(error: str, entry: object, place: str) -> SpecifiedTolerance
 def _read_zone(name: str, entry: object, place: str) -> SpecifiedZone:
     problems = Problems()
     settings = entry if isinstance(entry, dict) else {"diameter": entry}
-    settings = problems.usable(lambda: checked_table(settings, f"{place} `{name}`", *keys_of(SpecifiedZone, ("name",))))
+    settings = checked_table(settings, f"{place} `{name}`", *keys_of(SpecifiedZone, ("name",)), problems)
     return build(SpecifiedZone, {"name": name, **settings}, place, problems)
-
-
-def _read_group(entry: object, header: str) -> CorrelatedTolerances:
-    problems = Problems()
-    settings = problems.usable(lambda: checked_table(entry, header, *keys_of(CorrelatedTolerances)))
-    return build(CorrelatedTolerances, settings, header, problems)
 
 
 def error_quantities(values: object, where: str) -> dict[str, float]:

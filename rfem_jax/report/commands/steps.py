@@ -79,14 +79,14 @@ def settle_task(study: Study, task: str, folder: Path) -> Study:
 
 
 def _trials(study: Study, task: str) -> Any:
-    from rfem_jax.report.tasks.task_report import report_on
+    from rfem_jax.report.tasks.catalogue import report_on
 
     return report_on(study, task).trials()
 
 
 def write_task(study: Study, task: str, folder: Path) -> tuple[bool, list[Path]]:
     """Do a task of a study; returns whether it succeeded, and the files written. Raises: InputError; Interrupted."""
-    from rfem_jax.report.tasks.task_report import do_task, report_on
+    from rfem_jax.report.tasks.catalogue import do_task, report_on
 
     try:
         with _interruptible(study, task, folder), timed(study, task, report_on(study, task).left(folder)):
@@ -99,7 +99,7 @@ def write_task(study: Study, task: str, folder: Path) -> tuple[bool, list[Path]]
 @contextmanager
 def _interruptible(study: Study, task: str, folder: Path) -> Iterator[None]:
     """In which Ctrl-C and files that cannot be written end a task with a sentence."""
-    from rfem_jax.report.tasks.task_report import report_on
+    from rfem_jax.report.tasks.catalogue import report_on
 
     try:
         yield
@@ -125,7 +125,7 @@ def timed(study: Study, task: str = "", left: str = "") -> Iterator[None]:
 
     key, samples = timings.key_of(study, task), timings.samples_of(study, task)
     if task:
-        from rfem_jax.report.tasks.task_report import report_on
+        from rfem_jax.report.tasks.catalogue import report_on
         from rfem_jax.task_kinds import task_kinds
 
         needed = "; ".join(report_on(study, task).simulations())
@@ -159,7 +159,7 @@ def require_task_folders(study: Study, tasks: Sequence[str], out: str | Path) ->
     """See that the folder can hold what these tasks keep there, before anything is computed."""
     if not tasks:
         return
-    from rfem_jax.report.tasks.task_report import report_on
+    from rfem_jax.report.tasks.catalogue import report_on
 
     for task in tasks:
         report_on(study, task).require_folder(Path(out))

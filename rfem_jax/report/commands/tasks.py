@@ -55,7 +55,7 @@ def _do(task: str, arguments: argparse.Namespace) -> Answer:
     started = time.perf_counter()
     study = read_study(arguments.study)
 
-    from rfem_jax.report.tasks.task_report import require_task
+    from rfem_jax.report.tasks.catalogue import require_task
 
     require_task(study, task)
     require_folder(arguments.out)

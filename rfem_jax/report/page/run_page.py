@@ -1,4 +1,4 @@
-"""The page of one run, for notebooks: what `Run.report` does.
+"""The page of one run, for notebooks.
 
 Place in the pipeline: `rfem_jax.simulation.run` -> **run_page** -> document.
 """
@@ -24,10 +24,12 @@ CASE = "run"
 FILE = "report.html"
 
 
-def write_run(run: Run, path: str | Path) -> Path:
-    """Write the page of one run; `path` is the file, or a folder for `report.html`.
+def report_run(run: Run, path: str | Path) -> Path:
+    """Write one run, not a batch, as a page `report.html` for any browser.
 
-    Raises: InputError for a batch of runs; OSError.
+    **Arguments:** `path`: the file, or a folder.
+
+    **Returns:** the file.  **Raises:** `InputError` for a batch; OSError.
     """
     if np.ndim(run.status) != 0:
         raise InputError(

@@ -19,7 +19,7 @@ def tasks_text(study: Study) -> str:
     parts = [] if tasks.tolerances is None else [_tolerances_text(study, tasks.tolerances)]
     if tasks.declared:
         # Takes seconds: only where there is something to show.
-        from rfem_jax.report.tasks.task_report import report_on
+        from rfem_jax.report.tasks.catalogue import report_on
 
         for name, task in tasks.asked.items():
             metrics = getattr(task, "metrics", ())

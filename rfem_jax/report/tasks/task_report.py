@@ -1,12 +1,11 @@
-"""The base of all reports on tasks, and what the commands for tasks do.
+"""The base of all reports on tasks.
 
-Place in the pipeline: called by `report.commands` with a study as loaded; each task is computed, printed, written and
-drawn. A kind of task from outside the package begins here too (`rfem_jax.task_kinds`).
+Place in the pipeline: **task_report** -> the reports of all kinds -> catalogue; each task is computed, printed, written
+and drawn. A kind of task from outside the package begins here too (`rfem_jax.task_kinds`).
 """
 
 import abc
 import math
-import time
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from functools import partial
@@ -25,11 +24,10 @@ from rfem_jax.description.tolerances.zones import SpecifiedZone
 from rfem_jax.report.annotations import Figure
 from rfem_jax.report.overview import format_error
 from rfem_jax.report.pictures import write_pictures
-from rfem_jax.report.progress_line import note, remark, show
+from rfem_jax.report.progress_line import note, show
 from rfem_jax.report.style import SETTINGS
 from rfem_jax.report.summary import PLOTS_HINT
 from rfem_jax.report.tables import notes_text, title_text
-from rfem_jax.task_kinds import task_kinds
 from rfem_jax.tolerancing.problems.kept_evaluations import count_kept, kept_in
 from rfem_jax.tolerancing.problems.sharing import process_index
 
@@ -176,31 +174,3 @@ def _limit(name: str, pair: tuple[float, float]) -> str:
     if not math.isfinite(low):
         return f"{name} <= {high:g}"
     return f"{name} >= {low:g}" if not math.isfinite(high) else f"{low:g} <= {name} <= {high:g}"
-
-
-def report_on(study: Study, name: str) -> TaskReport:
-    """The report on the task `name` of a study that declares it."""
-    return task_kinds()[name].report_class()(study, name, study.tasks.asked[name])
-
-
-def require_task(study: Study, name: str) -> None:
-    """Raise InputError if the study does not declare the task `name`."""
-    if name not in study.tasks.declared:
-        declared = ", ".join(f"[{one}]" for one in study.tasks.declared) or "none"
-        raise InputError(
-            f"Argument `STUDY.toml` must have a table [{name}] for this command, but its tasks are "
-            f"{declared}; add the table."
-        )
-
-
-def do_task(study: Study, name: str, folder: str | Path) -> tuple[bool, list[Path]]:
-    """Compute, print, write and draw one declared task.
-
-    Returns: whether the result is good, and the files written (none but by process 0 of several).
-    Raises: InputError; OSError for files that cannot be written.
-    """
-    require_task(study, name)
-    started = time.perf_counter()
-    good, written = report_on(study, name).do(Path(folder))
-    remark(f"{name.replace('_', ' ').capitalize()} done after {time.perf_counter() - started:.1f} s.")
-    return good, written
