@@ -7,7 +7,7 @@ drawn. A kind of task from outside the package begins here too (`rfem_jax.task_k
 import abc
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
@@ -66,9 +66,9 @@ class TaskReport(abc.ABC, Generic[Asked, Result]):
         Raises: InputError for what cannot be computed.
         """
 
-    @abc.abstractmethod
     def text(self, result: Result) -> str:
         """What is printed, without the title of the study."""
+        return str(result)
 
     @abc.abstractmethod
     def write(self, folder: Path, result: Result) -> list[Path]:
@@ -174,6 +174,12 @@ def _limit(name: str, pair: tuple[float, float]) -> str:
     if not math.isfinite(low):
         return f"{name} <= {high:g}"
     return f"{name} >= {low:g}" if not math.isfinite(high) else f"{low:g} <= {name} <= {high:g}"
+
+
+def as_stage(stage: str) -> Callable[[int, int], None]:
+    """Begin a stage, and return the function (done, total) by which a study tells how far it is."""
+    on_stage(stage)
+    return lambda done, total: on_stage(stage, done / total)
 
 
 def report_on(study: Study, name: str) -> TaskReport:
