@@ -19,6 +19,7 @@ import rfem_jax
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.tolerancing.problems import execution, results_store, sample_values
 from rfem_jax.tolerancing.problems.distributions import Uniform
+from rfem_jax.tolerancing.problems.kept_evaluations import fingerprint_problem
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import FunctionProblem
 from rfem_jax.tolerancing.problems.results_store import ChunkWriteError, CorruptChunkWarning, ResultsStore
@@ -339,9 +340,9 @@ def test_fingerprint_follows_the_numbers_of_a_problem_and_nothing_else():
         table = jnp.arange(2000.0) + number
         return FunctionProblem(lambda e: {"y": jnp.sum(table) * e["a"]}, ("a",), ("y",))
 
-    one = execution.fingerprint_problem(build(0.0))
-    assert execution.fingerprint_problem(build(0.0)) == one
-    assert execution.fingerprint_problem(build(1e-9)) != one
+    one = fingerprint_problem(build(0.0))
+    assert fingerprint_problem(build(0.0)) == one
+    assert fingerprint_problem(build(1e-9)) != one
 
 
 def test_several_processes_need_a_folder_and_do_not_wait_for_ever(tmp_path, monkeypatch):

@@ -13,7 +13,7 @@ from rfem_jax.compilation import keys
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.report.tasks.task_report import Asked, Result, TaskReport
-from rfem_jax.tolerancing.problems.results_store import StudyFolderError
+from rfem_jax.tolerancing.problems.results_store import StudyFolderError, count_chunks
 from rfem_jax.tolerancing.problems.sharing import process_index
 from rfem_jax.tolerancing.sampling.sampled_studies import SampleStudy
 
@@ -49,7 +49,7 @@ class SampledReport(TaskReport[Asked, Result]):
         return {"resume": folder / self.name, "description": describe_study(self.study)}
 
     def left(self, folder: Path) -> str:
-        count = len(list((folder / self.name).glob("chunk-*.npz")))
+        count = count_chunks(folder / self.name)
         return f"{count} chunks of {self.words[1]} are kept in {folder / self.name}" if count else super().left(folder)
 
     def succeeded(self, result: Any) -> bool:

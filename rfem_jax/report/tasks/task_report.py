@@ -30,7 +30,8 @@ from rfem_jax.report.style import SETTINGS
 from rfem_jax.report.summary import PLOTS_HINT
 from rfem_jax.report.tables import notes_text, title_text
 from rfem_jax.task_kinds import task_kinds
-from rfem_jax.tolerancing.problems.kept_evaluations import count_kept, kept_in
+from rfem_jax.tolerancing.problems.kept_evaluations import kept_in
+from rfem_jax.tolerancing.problems.results_store import count_chunks
 from rfem_jax.tolerancing.problems.sharing import process_index
 
 GRADIENT = 3.0  # simulations that one with first derivatives takes (benchmarks/gradients.py)
@@ -139,7 +140,7 @@ class TaskReport(abc.ABC, Generic[Asked, Result]):
 
     def left(self, folder: Path) -> str:
         """What an interrupted run has left for the next one, in words; "" for nothing."""
-        count = count_kept(self.unfinished(folder))
+        count = count_chunks(self.unfinished(folder))
         return f"{count} evaluations are kept in {self.unfinished(folder)}" if count else ""
 
     def do(self, folder: Path) -> tuple[bool, list[Path]]:

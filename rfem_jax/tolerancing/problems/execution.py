@@ -22,8 +22,6 @@ Symbols: N samples, d coordinates, m metrics; points (N, d) of the unit cube, er
 Source: none; the layout is this library's own.
 """
 
-import hashlib
-import re
 import time
 from collections.abc import Sequence
 
@@ -32,7 +30,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from rfem_jax.compilation import keys
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.tolerancing.problems import sharing
@@ -204,23 +201,3 @@ def _wait_for(store: ResultsStore, missing: dict[int, int], signs: sharing.Signs
         if len(chunks) < len(missing):
             time.sleep(POLL)
     return chunks
-
-
-def fingerprint_problem(problem: ToleranceProblem) -> str:
-    """SHA-256 of a problem: of its own `fingerprint()` if it has one; else of all its numbers, its structure and the
-    sources of this package; else, where it contains a function of the user, of its program.
-
-    The program (StableHLO of one sample, with all constants) changes with every number and every operation of the
-    model, and not from run to run; so do numbers and sources, which need no tracing.
-    """
-    own = getattr(problem, "fingerprint", None)
-    if callable(own):
-        return hashlib.sha256(str(own()).encode()).hexdigest()
-    try:
-        return keys.digest_content(problem)
-    except keys.NotDigestible:
-        scalar = jax.ShapeDtypeStruct((), jnp.float64)
-        errors = dict.fromkeys(problem.error_names, scalar)
-        text = jax.jit(lambda e: problem(e)).lower(errors).as_text()
-        text = re.sub(r"index = \d+ : ui64", "", text)  # callbacks are counted per Python process
-        return hashlib.sha256(text.encode()).hexdigest()

@@ -21,7 +21,8 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.description.tasks.settings import whole_number
-from rfem_jax.tolerancing.problems.execution import Arrays, fingerprint_problem, run_chunks
+from rfem_jax.tolerancing.problems.execution import Arrays, run_chunks
+from rfem_jax.tolerancing.problems.kept_evaluations import fingerprint_problem
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.results_store import ResultsStore, require_study
