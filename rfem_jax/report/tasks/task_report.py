@@ -24,10 +24,9 @@ from rfem_jax.description.tolerances.tolerances import SpecifiedTolerances
 from rfem_jax.description.tolerances.zones import SpecifiedZone
 from rfem_jax.report.annotations import Figure
 from rfem_jax.report.overview import format_error
-from rfem_jax.report.pictures import write_pictures
-from rfem_jax.report.progress_line import note, remark, show
+from rfem_jax.report.pictures import drawn, write_pictures
+from rfem_jax.report.progress_line import remark, show
 from rfem_jax.report.style import SETTINGS
-from rfem_jax.report.summary import PLOTS_HINT
 from rfem_jax.report.tables import notes_text, title_text
 from rfem_jax.task_kinds import task_kinds
 from rfem_jax.tolerancing.problems.kept_evaluations import kept_in
@@ -153,16 +152,7 @@ class TaskReport(abc.ABC, Generic[Asked, Result]):
             return good, []
         notes = notes_text(getattr(self.task, "metrics", ()))
         show("\n\n".join([title_text(self.study), self.text(result), *notes]), end="\n\n")
-        return good, self.write(folder, result) + self._draw(folder, result)
-
-    def _draw(self, folder: Path, result: Result) -> list[Path]:
-        try:
-            import matplotlib  # noqa: F401
-        except ImportError:
-            note(PLOTS_HINT)
-            return []
-        on_stage("Drawing pictures")
-        return write_pictures(folder, self.pictures(result))
+        return good, self.write(folder, result) + drawn(lambda: write_pictures(folder, self.pictures(result)))
 
 
 def _zone(zone: SpecifiedZone) -> str:
