@@ -29,7 +29,7 @@ import numpy as np  # noqa: E402
 from jax import Array  # noqa: E402
 
 from rfem_jax import GeneralisedAlpha, Method, Simulation, assembly_errors, load_study, simulate  # noqa: E402
-from rfem_jax.simulation.accuracy import rms_loads  # noqa: E402
+from rfem_jax.simulation.accuracy import loads_of_trials, prepare_trials  # noqa: E402
 from rfem_jax.simulation.integration import grid_for  # noqa: E402
 
 STUDY = load_study(Path(__file__).parents[1] / "studies" / "four_bar" / "study.toml")
@@ -125,12 +125,13 @@ def simulation(model, method: Method, drive=STUDY.drive, duration=STUDY.duration
 def stepping(model, case: str, count: int, method: Method, duration=STUDY.duration):
     """Steps an interval -> RMS loads (samples, 2, joints) and the largest residual of a step over the largest joint
     force, by one program for all steps."""
-    errors = sample_errors(case, count)
+    errors = jax.vmap(lambda one: assembly_errors(model, one))(sample_errors(case, count))
     grid, _ = grid_for(STUDY.drive, duration, method, INTERVAL)
 
     def loads(steps: int):
         count = jnp.asarray(steps, jnp.float64)
-        found, residual, *_ = rms_loads(model, errors, STUDY.drive, grid, method, count)
+        prepared, carry = prepare_trials(model, errors, STUDY.drive, method)
+        found, residual, *_ = loads_of_trials(model, prepared, STUDY.drive, carry, grid, method, count)
         return found, jnp.max(residual)
 
     return loads

@@ -1,10 +1,12 @@
-"""Files that are written whole or not at all: beside their final place, and then renamed.
+"""Files that are written whole or not at all: beside their final place, and then renamed; arrays with a checksum.
 
-Place in the pipeline: beside all packages, and imports none of them; results, pictures and the samples of Monte Carlo
-studies are written so; kept programs are, too, but by descriptors of a folder that others may write
+Place in the pipeline: beside all packages, and imports none of them; results, pictures and what interrupted commands
+leave are written so; kept programs are, too, but by descriptors of a folder that others may write
 (`compilation.cache`).
 """
 
+import hashlib
+import io
 import os
 import platform
 import re
@@ -13,6 +15,8 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+import numpy as np
 
 UNFINISHED = ".tmp"
 PATIENCE = 3600.0  # s after which a file that nobody finished is nobody's
@@ -38,6 +42,42 @@ def write_whole(path: Path, payload: bytes) -> None:
         file.flush()
         os.fsync(file.fileno())
     _synchronise_folder(path.parent)
+
+
+class Damaged(ValueError):
+    """The content of a file is not what was written, or belongs to something else."""
+
+
+def pack_arrays(arrays: dict[str, np.ndarray], owner: str) -> bytes:
+    """The content of a file of named arrays, with a checksum that covers them and what they belong to, `owner`. Pickled
+    objects are neither written nor read."""
+    buffer = io.BytesIO()
+    named = {"checksum": np.array(_checksum(arrays, owner)), **arrays}
+    np.savez(buffer, **named)  # pyright: ignore[reportArgumentType] - the stub takes names for `allow_pickle`
+    return buffer.getvalue()
+
+
+def unpack_arrays(content: bytes, owner: str) -> dict[str, np.ndarray]:
+    """The arrays {name: array} of such a content. Raises Damaged."""
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+        checksum = str(arrays.pop("checksum"))
+    except Exception as error:
+        # NumPy, zipfile and zlib raise ten kinds of errors and more, depending on the byte that is wrong.
+        raise Damaged(str(error)) from error
+    if checksum != _checksum(arrays, owner):
+        raise Damaged("its checksum does not fit")
+    return arrays
+
+
+def _checksum(arrays: dict[str, np.ndarray], owner: str) -> str:
+    digest = hashlib.sha256(owner.encode())
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f" {name} {array.dtype.str} {array.shape} ".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()
 
 
 def remove_abandoned(path: Path) -> None:

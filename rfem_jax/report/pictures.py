@@ -20,7 +20,7 @@ import subprocess
 import sys
 import warnings
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
@@ -29,11 +29,27 @@ from typing import Any, BinaryIO
 import numpy as np
 from jaxtyping import UInt8
 
+from rfem_jax.compilation.stages import on_stage
 from rfem_jax.report.annotations import Figure
+from rfem_jax.report.progress_line import note
 from rfem_jax.whole_files import replacing
 
 Pixels = UInt8[np.ndarray, "height width 4"]
 Waiting = deque[tuple[str, Figure]]
+
+
+PLOTS_HINT = 'No pictures were drawn: matplotlib is not installed (pip install "rfem_jax[plots]").'
+
+
+def drawn(write: Callable[[], list[Path]]) -> list[Path]:
+    """The files of pictures that `write` draws and writes; none where matplotlib is missing, which is said."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError:
+        note(PLOTS_HINT)
+        return []
+    on_stage("Drawing pictures")
+    return write()
 
 
 def write_pictures(folder: str | Path, figures: Mapping[str, Figure]) -> list[Path]:

@@ -33,7 +33,6 @@ from rfem_jax.simulation.remarks import remarks_on
 
 OK = STATUS[0].name
 HUGE = 1e30  # of any number of a run, SI units
-PLOTS_HINT = 'No pictures were drawn: matplotlib is not installed (pip install "rfem_jax[plots]").'
 
 
 def joint_names(study: Study) -> tuple[str, ...]:

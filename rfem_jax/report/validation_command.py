@@ -9,8 +9,8 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-from rfem_jax.report.progress_line import note, remark, show
-from rfem_jax.report.summary import PLOTS_HINT
+from rfem_jax.report.pictures import drawn
+from rfem_jax.report.progress_line import remark, show
 from rfem_jax.report.validation_tables import (
     benchmark_text,
     verdict_text,
@@ -71,15 +71,10 @@ def validate(
     seconds = time.perf_counter() - started
     remark(f"Validation done after {seconds:.0f} s.")
     written = write(seconds)
-    return lines, written if folder is None else written + _draw(folder, pictures)
+    return lines, written if folder is None else written + drawn(lambda: _draw(folder, pictures))
 
 
 def _draw(folder: Path, pictures: list[Picture]) -> list[Path]:
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError:
-        note(PLOTS_HINT)
-        return []
     from rfem_jax.report.validation_figures import write_validation_figures
 
     return write_validation_figures(folder, pictures)

@@ -251,32 +251,14 @@ def trial_errors(model: Model) -> AssemblyErrors:
 
 
 @functools.partial(Program, nameless=True)
-def rms_loads(
-    model: Model,
-    errors: AssemblyErrors | dict[str, Float[Array, " cases"]],
-    drive: Drive,
-    grid: TimeGrid,
-    method: Method,
-    steps: Float[Array, ""],
-) -> tuple[Float[Array, "cases 2 joints"], Float[Array, " cases"], Float[Array, " cases"], Bool[Array, " cases"]]:
-    """RMS forces [N] and moments [N m] of several assemblies, by the implicit method with a number of steps in every
-    interval that may be traced.
-
-    **Returns:** the loads; the largest residual over the largest joint force; the error of the energy balance; whether
-    the mechanism was assembled.
-    """
+def prepare_trials(model: Model, errors: AssemblyErrors, drive: Drive, method: Method) -> tuple[Prepared, Carry]:
+    """The static starts of several assemblies, which no number of steps changes."""
 
     def one(errors):
-        prepared, carry = _prepared(model, errors, drive, method)
-        return _loads_of(model, prepared, drive, carry, grid, method, steps)
+        prepared = integration.prepare(model, errors, drive, None)
+        return prepared, integration.start_carry(model, prepared, drive, method)
 
     return jax.vmap(jax.jit(one))(errors)
-
-
-@functools.partial(Program, nameless=True)
-def prepare_trials(model: Model, errors: AssemblyErrors, drive: Drive, method: Method) -> tuple[Prepared, Carry]:
-    """The static starts of `rms_loads`, which no number of steps changes."""
-    return jax.vmap(jax.jit(lambda errors: _prepared(model, errors, drive, method)))(errors)
 
 
 @functools.partial(Program, nameless=True)
@@ -289,19 +271,17 @@ def loads_of_trials(
     method: Method,
     steps: Float[Array, ""],
 ) -> tuple[Float[Array, "cases 2 joints"], Float[Array, " cases"], Float[Array, " cases"], Bool[Array, " cases"]]:
-    """`rms_loads` from what `prepare_trials` gives."""
+    """RMS forces [N] and moments [N m] of several assemblies from what `prepare_trials` gives, by the implicit method
+    with a number of steps in every interval that may be traced.
+
+    **Returns:** the loads; the largest residual over the largest joint force; the error of the energy balance; whether
+    the mechanism was assembled.
+    """
 
     def one(prepared, carry):
         return _loads_of(model, prepared, drive, carry, grid, method, steps)
 
     return jax.vmap(jax.jit(one))(prepared, carry)
-
-
-def _prepared(model, errors, drive, method: Method) -> tuple[Prepared, Carry]:
-    if not isinstance(errors, AssemblyErrors):
-        errors = assembly_errors(model, errors)
-    prepared = integration.prepare(model, errors, drive, None)
-    return prepared, integration.start_carry(model, prepared, drive, method)
 
 
 def _loads_of(model, prepared: Prepared, drive, carry: Carry, grid, method: Method, steps):

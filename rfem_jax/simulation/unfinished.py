@@ -2,14 +2,12 @@
 
 Place in the pipeline: `cases.run_cases` writes and reads it; nothing else does.
 
-One file holds the integrator's state before a piece of time, what the pieces before it have given, and a digest of
-everything that they depend on (mechanism, drive, method, errors, sources, versions): a file of anything else is not
-used. It is written when the simulation is interrupted, and once a minute, beside its final place and then renamed;
-pickled objects are neither written nor read. The numbers that a continued simulation gives are those of one that was
-not interrupted, to the last bit.
+One file holds the integrator's state before a piece of time and what the pieces before it have given. Its checksum
+covers a digest of everything that they depend on (mechanism, drive, method, errors, sources, versions): a file of
+anything else, or a damaged one, is not used. It is written when the simulation is interrupted, and once a minute. The
+numbers that a continued simulation gives are those of one that was not interrupted, to the last bit.
 """
 
-import io
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rfem_jax.compilation import keys
-from rfem_jax.whole_files import replacing
+from rfem_jax.whole_files import Damaged, pack_arrays, unpack_arrays, write_whole
 
 EVERY = 60.0  # s
 
@@ -51,16 +49,12 @@ class Unfinished:
             return start
         leaves, tree = jax.tree.flatten(carry)
         try:
-            with np.load(io.BytesIO(self.path.read_bytes()), allow_pickle=False) as stored:
-                if str(stored["digest"]) != self.digest:
-                    return start
-                number, width = (int(n) for n in stored["counts"])
-                state = [stored[f"carry_{i}"] for i in range(len(leaves))]
-                parts = [[stored[f"part_{n}_{i}"] for i in range(width)] for n in range(number)]
-        except Exception:  # damaged: NumPy, zipfile and zlib raise ten kinds of errors
+            stored = unpack_arrays(self.path.read_bytes(), self.digest)
+        except (Damaged, OSError):
             return start
-        if any(np.shape(a) != np.shape(b) for a, b in zip(state, leaves, strict=True)):
-            return start
+        number, width = (int(n) for n in stored["counts"])
+        state = [stored[f"carry_{i}"] for i in range(len(leaves))]
+        parts = [[stored[f"part_{n}_{i}"] for i in range(width)] for n in range(number)]
         state = [jnp.asarray(one, jnp.asarray(leaf).dtype) for one, leaf in zip(state, leaves, strict=True)]
         self._written = number
         return number, jax.tree.unflatten(tree, state), parts
@@ -76,11 +70,10 @@ class Unfinished:
         if self.path is None or self._reached is None or self._reached[0] == self._written:
             return
         number, carry, parts = self._reached
-        arrays = {"digest": np.array(self.digest), "counts": np.array([number, len(parts[0])])}
+        arrays = {"counts": np.array([number, len(parts[0])])}
         arrays |= {f"carry_{i}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(carry))}
         arrays |= {f"part_{n}_{i}": leaf for n, part in enumerate(parts) for i, leaf in enumerate(part)}
-        with replacing(self.path) as temporary, open(temporary, "wb") as file:
-            np.savez(file, **arrays)  # pyright: ignore[reportArgumentType] - the stub takes names for `allow_pickle`
+        write_whole(self.path, pack_arrays(arrays, self.digest))
         self._written, self._time = number, time.monotonic()
 
     def remove(self) -> None:

@@ -27,7 +27,7 @@ from rfem_jax import (
     simulate,
 )
 from rfem_jax.simulation import integration
-from rfem_jax.simulation.accuracy import estimate_change, rms_loads
+from rfem_jax.simulation.accuracy import estimate_change, loads_of_trials, prepare_trials
 from rfem_jax.simulation.time_grid import divide_time
 from rfem_jax.validation.reference_values import read_reference
 from tests.mechanisms import link
@@ -82,7 +82,12 @@ def test_converges_to_runge_kutta_with_order_two(small, soft):
     method = GeneralisedAlpha(step=2e-3, corrections=4)
     grid, _ = integration.grid_for(small.drive, 0.02, method, 2e-3)
     steps = (4.0, 8.0, 16.0, 32.0)
-    loads = [np.asarray(rms_loads(soft, errors, small.drive, grid, method, jnp.asarray(k))[0]) for k in steps]
+    prepared, carry = prepare_trials(soft, errors, small.drive, method)
+
+    def loads_with(count):
+        return np.asarray(loads_of_trials(soft, prepared, small.drive, carry, grid, method, jnp.asarray(count))[0])
+
+    loads = [loads_with(count) for count in steps]
     exact = rms(soft, simulate(Simulation(soft, **small.settings), assembly_errors(soft, ERRORS)))
     changes = np.array([np.abs(one[0].T / exact - 1.0).max() for one in loads])
     np.testing.assert_allclose(np.log2(changes[1:-1] / changes[2:]), 2.0, atol=0.3)

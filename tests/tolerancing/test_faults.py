@@ -19,11 +19,11 @@ import rfem_jax
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.tolerancing.problems import execution, results_store, sample_values
 from rfem_jax.tolerancing.problems.distributions import Uniform
+from rfem_jax.tolerancing.problems.kept_evaluations import fingerprint_problem
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import FunctionProblem
 from rfem_jax.tolerancing.problems.results_store import ChunkWriteError, CorruptChunkWarning, ResultsStore
-from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
-from rfem_jax.tolerancing.sampling.study_identity import require_folder
+from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo, monte_carlo_samples
 
 jax.config.update("jax_enable_x64", True)
 
@@ -340,9 +340,9 @@ def test_fingerprint_follows_the_numbers_of_a_problem_and_nothing_else():
         table = jnp.arange(2000.0) + number
         return FunctionProblem(lambda e: {"y": jnp.sum(table) * e["a"]}, ("a",), ("y",))
 
-    one = execution.fingerprint_problem(build(0.0))
-    assert execution.fingerprint_problem(build(0.0)) == one
-    assert execution.fingerprint_problem(build(1e-9)) != one
+    one = fingerprint_problem(build(0.0))
+    assert fingerprint_problem(build(0.0)) == one
+    assert fingerprint_problem(build(1e-9)) != one
 
 
 def test_several_processes_need_a_folder_and_do_not_wait_for_ever(tmp_path, monkeypatch):
@@ -426,19 +426,19 @@ def test_other_studies_evaluate_on_the_chosen_device_or_on_one_where_threads_are
 
 
 def test_a_folder_is_judged_before_there_is_a_problem(tmp_path):
-    folder, other = tmp_path / "study", {"mechanism": "b"}
-    request = {"metrics": ("y", "z"), "tolerances": TOLERANCES, "key": KEY, "batch": BATCH}
-    require_folder(folder, **request, description={"mechanism": "a"})
+    folder, other, metrics = tmp_path / "study", {"mechanism": "b"}, ("y", "z")
+    samples = monte_carlo_samples(TOLERANCES, KEY, BATCH, None, "sobol", sobol_indices=False)
+    samples.require_folder(folder, metrics, {"mechanism": "a"})
     assert not folder.exists()
     run(folder, description={"mechanism": "a"})
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     for same_study in ({"mechanism": "a"}, None, {}):
-        require_folder(folder, **request, description=same_study)
+        samples.require_folder(folder, metrics, same_study)
     with pytest.raises(InputError, match='differs in mechanism .there "a", here "b"'):
-        require_folder(folder, **request, description=other)
+        samples.require_folder(folder, metrics, other)
     with pytest.raises(InputError, match="differs in metrics"):
-        require_folder(folder, **{**request, "metrics": ("y",)})
+        samples.require_folder(folder, ("y",))
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
     # What a study is described by is no part of what it is: the same problem goes on.
     assert run(folder, description=other).chunks_computed == 0
-    require_folder(folder, **request, description=other)
+    samples.require_folder(folder, metrics, other)

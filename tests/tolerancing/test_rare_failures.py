@@ -30,7 +30,6 @@ class Closed:
     exact: Any
     fails: Any = None
     tolerances: Any = field(init=False)
-    batch: int = 100_000
 
     def __post_init__(self):
         self.tolerances = SimpleNamespace(names=tuple(f"x{i}" for i in range(self.k)))
@@ -38,7 +37,7 @@ class Closed:
     def require_reproduced(self):
         """As that of `NormalSpace`."""
 
-    def values(self, w):
+    def values(self, w, progress=False):
         """Values (n, 1)."""
         values = np.asarray(self.function(w), dtype=float)
         return (values if self.fails is None else np.where(self.fails(w), np.nan, values))[:, None]

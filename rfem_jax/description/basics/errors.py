@@ -190,6 +190,15 @@ def require_choice(value: object, choices: Collection[str], where: str) -> str:
     return value
 
 
+def require_instance(value: Any, where: str, kind: type | tuple[type, ...], fix: str) -> Any:
+    """Return `value` if it is of a class, or one of several; else raise InputError, with what to do, `fix`."""
+    if not isinstance(value, kind):
+        *others, last = [one.__name__ for one in (kind if isinstance(kind, tuple) else (kind,))]
+        wanted = f"{', '.join(others)} or {last}" if others else last
+        raise InputError(f"{subject(where)} must be a {wanted}, but was {value!r}; {fix}")
+    return value
+
+
 def require_flag(value: object, where: str) -> bool:
     """Return `value` if it is True or False; else raise InputError."""
     if not isinstance(value, bool):

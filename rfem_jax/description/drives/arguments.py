@@ -1,6 +1,6 @@
 """The arguments of drives: how they are checked, and made arrays or static times.
 
-Place in the pipeline: units, errors, own_functions -> **drive_arguments** -> drives, translation_drives.
+Place in the pipeline: units, errors, own_functions -> **arguments** -> family.
 """
 
 from collections.abc import Callable

@@ -1,6 +1,6 @@
 """Several drives at once, and which free motions of joints they act on.
 
-Place in the pipeline: drives, joints -> **driven_motions** -> mechanism, study, simulation.
+Place in the pipeline: family, joints -> **driven_motions** -> mechanism, study, simulation.
 
 A free motion is named as its joint where it is the only one, else as joint and motion: "A", "C.T_y".
 """
@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from rfem_jax.description.basics.errors import InputError, require_choice
 from rfem_jax.description.basics.joint_kinds import KINDS
-from rfem_jax.description.drives.rotations import GivenDrive, PrescribedDrive
+from rfem_jax.description.drives.family import GivenDrive, PrescribedDrive
 
 AnyDrive = GivenDrive | PrescribedDrive
 Drive = AnyDrive | Sequence[AnyDrive] | None

@@ -1,6 +1,6 @@
 """The functions of time that drives are made of, the same for rotations and translations.
 
-Place in the pipeline: drive_arguments -> **drive_laws** -> drives, translation_drives.
+Place in the pipeline: arguments -> **laws** -> family.
 
 Symbols: t [s]; phase: number of breakpoints passed; a motion is (change of the coordinate since the start, rate,
 acceleration).  Source: theory (3.5), (3.6).

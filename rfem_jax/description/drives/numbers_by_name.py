@@ -1,6 +1,6 @@
 """The numbers of drives that a design may set, and drives with other ones.
 
-Place in the pipeline: drives, driven_motions -> **drive_numbers** -> the mechanics' `design`, simulation.
+Place in the pipeline: family, driven_motions -> **numbers_by_name** -> the mechanics' `design`, simulation.
 
 A number is called "drive.moment", or "drive.A.moment" by its motion ("A", "C.T_y") where there are several drives.
 Times are none of them: they divide a run into pieces, which programs are compiled for.
@@ -17,34 +17,7 @@ from jax.typing import ArrayLike
 from rfem_jax.description.basics.errors import InputError, subject, suggestion
 from rfem_jax.description.basics.units import DIMENSIONS, quantity
 from rfem_jax.description.drives.driven_motions import AnyDrive
-from rfem_jax.description.drives.rotations import (
-    MomentRamp,
-    MomentTable,
-    PrescribedRate,
-    PrescribedSpinUp,
-    PrescribedTable,
-)
-from rfem_jax.description.drives.translations import (
-    ForceRamp,
-    ForceTable,
-    PrescribedDisplacements,
-    PrescribedRunUp,
-    PrescribedSpeed,
-)
 
-# The name of the number of each kind of drive, and the field of the drive that it is, or scales.
-NUMBERS: dict[type, tuple[str, str]] = {
-    MomentRamp: ("moment", "moment"),
-    ForceRamp: ("force", "force"),
-    PrescribedRate: ("rate", "rate"),
-    PrescribedSpinUp: ("rate", "rate"),
-    PrescribedSpeed: ("speed", "speed"),
-    PrescribedRunUp: ("speed", "speed"),
-    MomentTable: ("factor", "values"),
-    ForceTable: ("factor", "values"),
-    PrescribedTable: ("factor", "coefficients"),
-    PrescribedDisplacements: ("factor", "coefficients"),
-}
 NUMBER_DIMENSIONS = {"moment": "moment", "force": "force", "rate": "rate", "speed": "speed", "factor": "none"}
 
 
@@ -53,11 +26,10 @@ def drive_number_names(drives: Sequence[AnyDrive], labels: Sequence[str]) -> dic
     drive, by the short one; `labels`: of the motions that they act on."""
     found = {}
     for i, (drive, label) in enumerate(zip(drives, labels, strict=True)):
-        if type(drive) in NUMBERS:
-            number = NUMBERS[type(drive)][0]
-            found[f"drive.{label}.{number}"] = i, number
+        if drive.number_name is not None:
+            found[f"drive.{label}.{drive.number_name}"] = i, drive.number_name
             if len(drives) == 1:
-                found[f"drive.{number}"] = i, number
+                found[f"drive.{drive.number_name}"] = i, drive.number_name
     return found
 
 
@@ -79,8 +51,7 @@ def drive_number_unit(name: str) -> str:
 
 def drive_number_value(drive: AnyDrive) -> Array | float:
     """The number of a drive [its unit]; 1 for a factor."""
-    name, field = NUMBERS[type(drive)]
-    return 1.0 if name == "factor" else getattr(drive, field)
+    return 1.0 if drive.scaled_field is not None else getattr(drive, str(drive.number_name))
 
 
 def read_drive_number(name: str, value: Any, where: str, labels: Sequence[str]) -> float:
@@ -107,7 +78,7 @@ def drives_with(
                 f"Argument `design` must fit the drive, but `{name}` is no number of it; {suggestion(name, known)}"
             )
         i, number = known[name]
-        field = NUMBERS[type(drives[i])][1]
+        field = drives[i].scaled_field or number
         new = jnp.asarray(value, jnp.float64)
         new = new * getattr(drives[i], field) if number == "factor" else new
         found[i] = eqx.tree_at(lambda one, field=field: getattr(one, field), found[i], new)

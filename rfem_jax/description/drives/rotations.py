@@ -1,30 +1,23 @@
-"""Drives: forces and moments on free motions of joints, or prescribed motions of them, as functions of time.
+"""Drives of rotations: moments about the axes of joints, or prescribed angles, as functions of time.
 
-Place in the pipeline: specified in a study; `mechanics` and `simulation` evaluate them inside compiled
-code (jit, vmap, forward and reverse differentiation).  Here are those of rotations; `translation_drives` has those of
-translations.
+Place in the pipeline: family -> **rotations** -> specified in a study; `mechanics` and `simulation` evaluate them
+inside compiled code (jit, vmap, forward and reverse differentiation). `translations` has the same along axes.
 
-A drive may jump at its breakpoints, which are static (they divide the run into integrations).
-Pieces are chosen by `phase`, the number of breakpoints passed, never by comparing t with a jump.
-Values are float64 JAX arrays: new values do not compile anew.
-
-Symbols: t [s]; moment [N m] about the axis of the motion; change of the angle since the start [rad], rate
-[rad/s], acceleration [rad/s^2]. Source: theory (3.5), (3.6), (3.15).
+Symbols: t [s]; moment [N m] about the axis of the motion; change of the angle since the start [rad], rate [rad/s],
+acceleration [rad/s^2]. Source: theory (3.5), (3.6), (3.15).
 """
 
 import abc
-import copy
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.core import Tracer
-from jaxtyping import Array, Float
 
 from rfem_jax.description.basics.errors import InputError
-from rfem_jax.description.basics.units import Quantities, Quantity, non_negative_quantity, positive_quantity
+from rfem_jax.description.basics.units import Quantities, Quantity
 from rfem_jax.description.drives.arguments import (
     Phase,
     Scalar,
@@ -32,71 +25,27 @@ from rfem_jax.description.drives.arguments import (
     as_phase,
     checked_breakpoints,
     checked_function_of_time,
-    column,
     drive_checks,
     function_of_time,
-    leaf,
-    table_changes,
-    table_times,
 )
-from rfem_jax.description.drives.laws import (
-    Motion,
-    ramp,
-    rise,
-    rise_steps,
-    spin_up,
-    spline,
-    spline_at,
-    table_at,
-    table_jumps,
+from rfem_jax.description.drives.family import (
+    GivenDrive,
+    GivenFunction,
+    GivenRamp,
+    GivenTable,
+    Law,
+    PrescribedDrive,
+    PrescribedRise,
+    PrescribedSmoothRise,
+    PrescribedSpline,
 )
-
-if TYPE_CHECKING:
-    Law = Callable[..., Scalar]
-else:
-    Law = Any  # what is no function is refused in a sentence
-
-
-def _on_joint(drive: Any, joint: str) -> Any:
-    other = copy.copy(drive)
-    object.__setattr__(other, "joint", joint)
-    return other
-
-
-class GivenDrive(eqx.Module):
-    """A given force or moment along one free motion of a joint of the tree; `motion` None: its only one."""
-
-    joint: eqx.AbstractVar[str]
-    motion: str | None = eqx.field(static=True, default=None, kw_only=True)
-    rotation: ClassVar[bool | None] = None  # whether the motion is a rotation, or a translation; None: either
-
-    def renamed(self, names: Any) -> Any:
-        """On a joint of another name, `names.of(name)`."""
-        return _on_joint(self, names.of(self.joint))
-
-    @abc.abstractmethod
-    def breakpoints(self) -> tuple[float, ...]:
-        """Return the times [s] > 0 at which the force jumps, increasing."""
-
-    def step_ends(self, interval: float) -> tuple[float, ...]:
-        """Return the times [s] beside the breakpoints at which steps must end, so that they see how the drive changes:
-        rows of a table, and places within a rise that is short beside intervals of a length [s]."""
-        del interval
-        return ()
-
-    @abc.abstractmethod
-    def force_at(self, t: Time, phase: Phase) -> Scalar:
-        """Return the moment [N m] or force [N], positive as the motion, at t in the piece `phase` (int, from 0)."""
+from rfem_jax.description.drives.laws import Motion
 
 
 class MomentDrive(GivenDrive):
     """A given moment about the axis of a free motion of a joint."""
 
     rotation: ClassVar[bool | None] = True
-
-    @abc.abstractmethod
-    def breakpoints(self) -> tuple[float, ...]:
-        """Return the times [s] > 0 at which the moment jumps, increasing."""
 
     @abc.abstractmethod
     def moment_at(self, t: Time, phase: Phase) -> Scalar:
@@ -107,34 +56,14 @@ class MomentDrive(GivenDrive):
         return self.moment_at(t, phase)
 
 
-class PrescribedDrive(eqx.Module):
-    """A given angle or displacement of a joint; the moment or force that enforces it is a result."""
+class _MomentOfFamily(MomentDrive):
+    """A moment whose law is the family's `force_at`."""
 
-    joint: eqx.AbstractVar[str]
-    motion: str | None = eqx.field(static=True, default=None, kw_only=True)
-    rotation: ClassVar[bool | None] = None  # as of `GivenDrive`
-
-    def renamed(self, names: Any) -> Any:
-        """On a joint of another name, `names.of(name)`."""
-        return _on_joint(self, names.of(self.joint))
-
-    @abc.abstractmethod
-    def breakpoints(self) -> tuple[float, ...]:
-        """Return the times [s] > 0 at which a derivative jumps, increasing."""
-
-    def step_ends(self, interval: float) -> tuple[float, ...]:
-        """Return the times [s] beside the breakpoints at which steps must end, so that they see how the drive changes:
-        rows of a table, and places within a rise that is short beside intervals of a length [s]."""
-        del interval
-        return ()
-
-    @abc.abstractmethod
-    def motion_at(self, t: Time, phase: Phase) -> Motion:
-        """Return (change of the angle or displacement since the start, rate, acceleration) at t in the piece
-        `phase`."""
+    def moment_at(self, t: Time, phase: Phase) -> Scalar:
+        return self.force_at(t, phase)
 
 
-class MomentRamp(MomentDrive):
+class MomentRamp(GivenRamp, _MomentOfFamily):
     """M = moment * t / rise_time up to rise_time, then 0; theory (3.5).
 
     Args:
@@ -145,24 +74,14 @@ class MomentRamp(MomentDrive):
             the joint's only one.
     """
 
-    joint: str = eqx.field(static=True)
     moment: Scalar
     rise_time: float = eqx.field(static=True)
 
     def __init__(self, joint: str, moment: Quantity, rise_time: Quantity, motion: str | None = None):
-        checks = drive_checks(self, joint, motion)
-        checks.set("moment", moment, leaf, "moment", "moment")
-        checks.set("rise_time", rise_time, positive_quantity, "time", "rise_time")
-        checks.refuse()
-
-    def breakpoints(self) -> tuple[float, ...]:
-        return (self.rise_time,)
-
-    def moment_at(self, t: Time, phase: Phase) -> Scalar:
-        return ramp(self.moment, self.rise_time, t, phase)
+        self._begin(joint, moment, rise_time, motion)
 
 
-class MomentTable(MomentDrive):
+class MomentTable(GivenTable, _MomentOfFamily):
     """A moment given at times, linear in between, zero after the last time.
 
     Args:
@@ -173,28 +92,11 @@ class MomentTable(MomentDrive):
             the joint's only one.
     """
 
-    joint: str = eqx.field(static=True)
-    values: Float[Array, " times"]
-    times: tuple[float, ...] = eqx.field(static=True)
-
     def __init__(self, joint: str, times: Quantities, moments: Quantities, motion: str | None = None):
-        checks = drive_checks(self, joint, motion)
-        found = checks.value("times", times, table_times, False)
-        checks.set("values", moments, column, "moment", "moments", found)
-        checks.refuse()
-        self.times = found
-
-    def breakpoints(self) -> tuple[float, ...]:
-        return table_jumps(self.times)
-
-    def step_ends(self, interval: float) -> tuple[float, ...]:
-        return self.times
-
-    def moment_at(self, t: Time, phase: Phase) -> Scalar:
-        return table_at(self.values, self.times, t, phase)
+        self._begin(joint, times, moments, motion)
 
 
-class MomentFunction(MomentDrive):
+class MomentFunction(GivenFunction, _MomentOfFamily):
     """A moment given by a Python function written in JAX.
 
     Args:
@@ -207,25 +109,8 @@ class MomentFunction(MomentDrive):
             the joint's only one.
     """
 
-    joint: str = eqx.field(static=True)
-    function: Callable[..., Scalar]
-    times: tuple[float, ...] = eqx.field(static=True)
 
-    def __init__(self, joint: str, function: Law, breakpoints: Quantities = (), motion: str | None = None):
-        checks = drive_checks(self, joint, motion)
-        checks.set("times", breakpoints, checked_breakpoints)
-        checks.set("function", function, function_of_time)
-        checks.refuse()
-        self.function = checked_function_of_time(self.function, with_phase=True)
-
-    def breakpoints(self) -> tuple[float, ...]:
-        return self.times
-
-    def moment_at(self, t: Time, phase: Phase) -> Scalar:
-        return self.function(jnp.asarray(t, jnp.float64), as_phase(phase))
-
-
-class PrescribedRate(PrescribedDrive):
+class PrescribedRate(PrescribedRise):
     """A rate that rises smoothly to a constant: rate * (3 x^2 - 2 x^3), x = t / rise_time <= 1.
 
     Args:
@@ -237,27 +122,14 @@ class PrescribedRate(PrescribedDrive):
     """
 
     rotation: ClassVar[bool | None] = True
-    joint: str = eqx.field(static=True)
     rate: Scalar
     rise_time: float = eqx.field(static=True)
 
     def __init__(self, joint: str, rate: Quantity, rise_time: Quantity = 0.0, motion: str | None = None):
-        checks = drive_checks(self, joint, motion)
-        checks.set("rate", rate, leaf, "rate", "rate")
-        checks.set("rise_time", rise_time, non_negative_quantity, "time", "rise_time")
-        checks.refuse()
-
-    def breakpoints(self) -> tuple[float, ...]:
-        return (self.rise_time,) if self.rise_time > 0.0 else ()
-
-    def step_ends(self, interval: float) -> tuple[float, ...]:
-        return rise_steps(self.rise_time, interval)
-
-    def motion_at(self, t: Time, phase: Phase) -> Motion:
-        return rise(self.rate, self.rise_time, t, phase)
+        self._begin(joint, rate, rise_time, motion)
 
 
-class PrescribedSpinUp(PrescribedDrive):
+class PrescribedSpinUp(PrescribedSmoothRise):
     """A rate that rises to a constant with a continuous acceleration:
     rate * (x - sin(2 pi x) / (2 pi)), x = t / rise_time <= 1.
 
@@ -273,27 +145,14 @@ class PrescribedSpinUp(PrescribedDrive):
     """
 
     rotation: ClassVar[bool | None] = True
-    joint: str = eqx.field(static=True)
     rate: Scalar
     rise_time: float = eqx.field(static=True)
 
     def __init__(self, joint: str, rate: Quantity, rise_time: Quantity, motion: str | None = None):
-        checks = drive_checks(self, joint, motion)
-        checks.set("rate", rate, leaf, "rate", "rate")
-        checks.set("rise_time", rise_time, positive_quantity, "time", "rise_time")
-        checks.refuse()
-
-    def breakpoints(self) -> tuple[float, ...]:
-        return (self.rise_time,)
-
-    def step_ends(self, interval: float) -> tuple[float, ...]:
-        return rise_steps(self.rise_time, interval)
-
-    def motion_at(self, t: Time, phase: Phase) -> Motion:
-        return spin_up(self.rate, self.rise_time, t, phase)
+        self._begin(joint, rate, rise_time, motion)
 
 
-class PrescribedTable(PrescribedDrive):
+class PrescribedTable(PrescribedSpline):
     """Changes of the angle, given at times and joined by a cubic spline (C2, "not-a-knot" ends).
 
     Args:
@@ -305,27 +164,9 @@ class PrescribedTable(PrescribedDrive):
     """
 
     rotation: ClassVar[bool | None] = True
-    joint: str = eqx.field(static=True)
-    knots: Float[Array, " times"]
-    coefficients: Float[Array, "4 times-1"]
-    times: tuple[float, ...] = eqx.field(static=True)
 
     def __init__(self, joint: str, times: Quantities, angles: Quantities, motion: str | None = None):
-        checks = drive_checks(self, joint, motion)
-        knots = checks.value("times", times, table_times, True)
-        changes = checks.value("angles", angles, table_changes, "angle", "angles", knots)
-        checks.refuse()
-        self.times = knots
-        self.knots, self.coefficients = spline(knots, changes)
-
-    def breakpoints(self) -> tuple[float, ...]:
-        return ()
-
-    def step_ends(self, interval: float) -> tuple[float, ...]:
-        return self.times
-
-    def motion_at(self, t: Time, phase: Phase) -> Motion:
-        return spline_at(self.knots, self.coefficients, t)
+        self._begin(joint, times, angles, motion)
 
 
 class PrescribedFunction(PrescribedDrive):

@@ -5,7 +5,6 @@ Source: theory (8.15) and (8.16); ISO 281 (dynamic capacity, life), ISO 76 (stat
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError, require_choice
 from rfem_jax.description.basics.units import Quantity, positive_quantity
@@ -52,12 +51,3 @@ class Bearing(ChecksItself):
     def capacities(self) -> tuple[str, ...]:
         """Names of the capacities that are given."""
         return tuple(name for name in CAPACITIES if getattr(self, name) is not None)
-
-
-def bearing_of(bearing: Any, where: str) -> Bearing:
-    """A bearing as it is. Raises InputError for anything else."""
-    if not isinstance(bearing, Bearing):
-        raise InputError(
-            f'Argument {where} must be a Bearing, but was {bearing!r}; write Bearing(dynamic_capacity="4.6 kN").'
-        )
-    return bearing

@@ -160,13 +160,3 @@ def stiffness_dimension(clearance: Clearance, name: str) -> str:
     that no unit is known for."""
     exponent: Any = clearance.of_stop[1] if name == "axial_stiffness" else clearance.exponent
     return {1.0: "stiffness", 1.5: "hertz_stiffness"}.get(exponent, "none")
-
-
-def clearance_of(clearance: Any, where: str) -> Clearance:
-    """A clearance as it is. Raises InputError for anything else."""
-    if not isinstance(clearance, Clearance):
-        raise InputError(
-            f"Argument {where} must be a Clearance, but was {clearance!r}; write "
-            'Clearance(radial="0.05 mm", length="20 mm", stiffness=1e10).'
-        )
-    return clearance

@@ -12,12 +12,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError, require_flag, require_name
+from rfem_jax.description.basics.errors import (
+    Checks,
+    ChecksItself,
+    InputError,
+    require_flag,
+    require_instance,
+    require_name,
+)
 from rfem_jax.description.basics.joint_kinds import DEFAULT, KINDS, JointKind, require_kind
 from rfem_jax.description.basics.numbers import Number
 from rfem_jax.description.basics.units import quantity, vector
-from rfem_jax.description.mechanism.bearings import Bearing, bearing_of
-from rfem_jax.description.mechanism.clearance import Clearance, clearance_of
+from rfem_jax.description.mechanism.bearings import Bearing
+from rfem_jax.description.mechanism.clearance import Clearance
 from rfem_jax.description.mechanism.compliance import Compliance, SprungDirection
 
 
@@ -97,13 +104,16 @@ class Joint(ChecksItself):
             self._set_start(checks, of)
             self._check_rates(checks, of)
         if self.compliance is not None:
-            checks.convert("compliance", _compliance, f"`compliance` {of}")
+            write = 'write Compliance(radial="1e8 N/m").'
+            checks.convert("compliance", require_instance, f"`compliance` {of}", Compliance, write)
             checks.relation(("kind", "cut", "compliance"), lambda: self.springs)
         if self.clearance is not None:
-            checks.convert("clearance", clearance_of, f"`clearance` {of}")
+            write = 'write Clearance(radial="0.05 mm", length="20 mm", stiffness=1e10).'
+            checks.convert("clearance", require_instance, f"`clearance` {of}", Clearance, write)
             checks.relation(("kind", "compliance", "clearance"), self._check_clearance, of)
         if self.bearing is not None:
-            checks.convert("bearing", bearing_of, f"`bearing` {of}")
+            write = 'write Bearing(dynamic_capacity="4.6 kN").'
+            checks.convert("bearing", require_instance, f"`bearing` {of}", Bearing, write)
 
     @property
     def springs(self) -> tuple[SprungDirection, ...]:
@@ -242,14 +252,6 @@ def _of_each(values: object, kind: JointKind, where: str, dimensions: Sequence[s
 
 def _kind_name(kind: object, where: str) -> str:
     return require_kind(kind, where).name
-
-
-def _compliance(compliance: object, where: str) -> Compliance:
-    if not isinstance(compliance, Compliance):
-        raise InputError(
-            f'Argument {where} must be a Compliance, but was {compliance!r}; write Compliance(radial="1e8 N/m").'
-        )
-    return compliance
 
 
 def _child(child: object, of: str) -> str:

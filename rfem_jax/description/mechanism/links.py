@@ -12,7 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError, require_flag, require_name
+from rfem_jax.description.basics.errors import (
+    Checks,
+    ChecksItself,
+    InputError,
+    require_flag,
+    require_instance,
+    require_name,
+)
 from rfem_jax.description.basics.numbers import Number
 from rfem_jax.description.basics.units import non_negative_quantity, positive_quantity, quantity, short, vector
 from rfem_jax.description.mechanism.materials import Material
@@ -96,11 +103,14 @@ class Link(ChecksItself):
         checks.convert("name", require_name, "`name` of a link", ("base",))
         of = f"of link `{self.name}`"
         checks.convert("length", positive_quantity, "length", f"`length` {of}")
-        checks.convert("body", _body, of)
         if self.body is None:
-            checks.convert("section", _section, of)
+            give = "give a rigid link one too, for its mass, or a `body`."
+            kinds = Rectangle, Circle, Tube, GivenSection
+            checks.convert("section", require_instance, f"`section` {of}", kinds, give)
             checks.relation(("section", "material"), self._check_material, of)
         else:
+            write = "write for example RigidBody(0.5, (0.05, 0.0, 0.0), (1e-4, 3e-4, 3e-4))."
+            checks.convert("body", require_instance, f"`body` {of}", RigidBody, write)
             checks.relation(("section", "material", "body"), self._check_body, of)
         checks.convert("rigid", require_flag, f"`rigid` {of}")
         checks.convert("rfes", _number_of_rfes, of)
@@ -164,24 +174,6 @@ class Link(ChecksItself):
         """All mass [kg], that of point masses included."""
         own = self.properties.line_density * self.length if self.body is None else self.body.mass
         return own + sum(point.mass for point in self.point_masses)
-
-
-def _section(section: Any, of: str) -> Section:
-    if not isinstance(section, (Rectangle, Circle, Tube, GivenSection)):
-        raise InputError(
-            f"Argument `section` {of} must be a Rectangle, Circle, Tube or GivenSection, "
-            f"but was {section!r}; give a rigid link one too, for its mass, or a `body`."
-        )
-    return section
-
-
-def _body(body: Any, of: str) -> RigidBody | None:
-    if body is not None and not isinstance(body, RigidBody):
-        raise InputError(
-            f"Argument `body` {of} must be a RigidBody, but was {body!r}; write for example "
-            "RigidBody(0.5, (0.05, 0.0, 0.0), (1e-4, 3e-4, 3e-4))."
-        )
-    return body
 
 
 def _number_of_rfes(rfes: Any, of: str) -> int:

@@ -12,10 +12,8 @@ import jax.numpy as jnp
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.with_errors import AssemblyErrors
-from rfem_jax.report.annotations import Figure
 from rfem_jax.report.output import write_json
-from rfem_jax.report.pictures import write_pictures
-from rfem_jax.report.summary import PLOTS_HINT, reaction_norm, study_note
+from rfem_jax.report.summary import reaction_norm, study_note
 from rfem_jax.simulation import cases
 
 
@@ -35,13 +33,3 @@ def write_analysis(path: Path, study: Study, name: str, result: dict[str, Any]) 
     """Write the JSON file of an analysis (SI units, radians)."""
     content = {"title": study.title, "note": study_note(study) or None, "analysis": name}
     return write_json(path, {**content, **reaction_norm(study), **result})
-
-
-def draw(folder: Path, figures: Any) -> tuple[list[Path], str]:
-    """Write the pictures that `figures()` makes, {name: figure}; the paths, and what is to be said without any."""
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError:
-        return [], PLOTS_HINT
-    made: dict[str, Figure] = figures()
-    return write_pictures(folder, made), ""

@@ -22,9 +22,10 @@ from rfem_jax.mechanics.model.orientations import moved
 from rfem_jax.mechanics.model.status import STATUS
 from rfem_jax.mechanics.model.with_errors import AssemblyErrors, apply_errors, assembly_errors, sum_of
 from rfem_jax.mechanics.statics.designs import designed
-from rfem_jax.report.analyses.analysis import draw, error_names, errors_of_cases, write_analysis
+from rfem_jax.report.analyses.analysis import error_names, errors_of_cases, write_analysis
 from rfem_jax.report.annotations import Figure
 from rfem_jax.report.output import write_csv
+from rfem_jax.report.pictures import drawn, write_pictures
 from rfem_jax.report.style import add_titles, new_figure
 from rfem_jax.report.summary import in_legend, marked
 from rfem_jax.report.tables import format_table, title_text
@@ -170,9 +171,9 @@ def _shapes_content(study: Study, shapes: Shapes) -> dict[str, Any]:
     return {"case": study.cases[0].name, "links": links}
 
 
-def draw_modes(folder: Path, study: Study, result: ModesResult, shapes: Shapes) -> tuple[list[Path], str]:
-    """Draw the modes of the first case; the picture's path, and what is to be said without one."""
-    return draw(folder, lambda: {"modes": modes_figure(study, result, shapes)})
+def draw_modes(folder: Path, study: Study, result: ModesResult, shapes: Shapes) -> list[Path]:
+    """Draw the modes of the first case; the picture's path."""
+    return drawn(lambda: write_pictures(folder, {"modes": modes_figure(study, result, shapes)}))
 
 
 def mode_shapes(study: Study, model: Model, result: ModesResult) -> Shapes:

@@ -17,10 +17,11 @@ from rfem_jax.mechanics.forces.bush_contacts import CLOSED, CONTACT_NAMES, carry
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.status import STATUS
 from rfem_jax.mechanics.model.with_errors import AssemblyErrors
-from rfem_jax.report.analyses.analysis import draw, errors_of_cases, write_analysis
+from rfem_jax.report.analyses.analysis import errors_of_cases, write_analysis
 from rfem_jax.report.annotations import Figure
 from rfem_jax.report.files import contact_columns
 from rfem_jax.report.output import write_csv
+from rfem_jax.report.pictures import drawn, write_pictures
 from rfem_jax.report.style import add_titles, line_style, new_figure
 from rfem_jax.report.summary import in_legend, joint_names, marked
 from rfem_jax.report.tables import format_table, title_text
@@ -212,9 +213,9 @@ def write_turn(folder: Path, study: Study, model: Model, turn: Turn) -> list[Pat
     return [written, write_csv(folder / "turn.csv", rows)]
 
 
-def draw_turn(folder: Path, study: Study, model: Model, turn: Turn) -> tuple[list[Path], str]:
-    """Draw the loads over the positions; the pictures' paths, and what is to be said without any."""
-    return draw(folder, lambda: {"turn": turn_figure(study, model, turn)})
+def draw_turn(folder: Path, study: Study, model: Model, turn: Turn) -> list[Path]:
+    """Draw the loads over the positions; the picture's path."""
+    return drawn(lambda: write_pictures(folder, {"turn": turn_figure(study, model, turn)}))
 
 
 def turn_figure(study: Study, model: Model, turn: Turn) -> Figure:

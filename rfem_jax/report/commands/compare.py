@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rfem_jax.report.commands.command import Answer, Command
-from rfem_jax.report.commands.folders import cannot_write, open_folder
+from rfem_jax.report.commands.folders import open_folder, writing_into
 from rfem_jax.report.progress_line import paint, show
 
 if TYPE_CHECKING:
@@ -58,13 +58,11 @@ def act(arguments: argparse.Namespace) -> Answer:
         return Answer(document=document)
     folder = open_folder(arguments.out)
     written: list[Path] = []
-    try:
+    with writing_into(folder):
         written.append(write_json(folder / "comparison.json", document))
         for name, table in (("comparison", rows), ("comparison_tasks", of_tasks)):
             if table:
                 written.append(write_csv(folder / f"{name}.csv", table))
-    except OSError as problem:
-        raise cannot_write(folder, problem) from problem
     show(f"{len(written)} file{'s' if len(written) > 1 else ''} written to {folder}.")
     return Answer(document=document | {"files": [str(one) for one in written]})
 

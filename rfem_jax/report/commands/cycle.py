@@ -10,17 +10,16 @@ from dataclasses import replace
 from typing import Any
 
 from rfem_jax.report.annotations import Cycle, Study
-from rfem_jax.report.commands.command import CASE_FAILED, DONE, Answer, Command, add_study_and_folder
-from rfem_jax.report.commands.folders import cannot_write, open_folder, require_folder
+from rfem_jax.report.commands.command import Answer, Command, add_study_and_folder
+from rfem_jax.report.commands.folders import open_folder, require_folder, writing_into
 from rfem_jax.report.commands.run import write_run_animation, write_run_pictures
 from rfem_jax.report.commands.steps import (
     announce,
     discretise_study,
-    files_document,
+    finish,
     prepare_pictures,
     read_study,
     settle_method,
-    write_page,
 )
 from rfem_jax.report.progress_line import note, show
 
@@ -66,18 +65,14 @@ def act(arguments: argparse.Namespace) -> Answer:
     statuses = {name: STATUS[int(run.status)] for name, run in runs.items()}
     summaries = summarise(study, runs, statuses)
     show(results_text(study, summaries), end="\n\n")
-    try:
+    with writing_into(folder):
         written = write_files(folder, study, runs, summaries)
         written += write_run_pictures(folder, study, runs, summaries)
         written += write_run_animation(folder, runs)
         written.append(write_analysis(folder / "cycle.json", study, "cycle", {"cases": _convergence(cycles)}))
-    except OSError as problem:
-        raise cannot_write(folder, problem) from problem
-    written += write_page(folder)
-    show(f"{len(written)} files written to {folder} ({time.perf_counter() - started:.1f} s in all).")
     good = all(cycle.converged for cycle in cycles.values())
     good = good and all(one["status"] == "ok" for one in summaries.values())
-    return Answer(DONE if good else CASE_FAILED, files_document(folder, written))
+    return finish(folder, written, good, started)
 
 
 def _of_one_revolution(study: Study) -> Study:

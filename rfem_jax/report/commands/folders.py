@@ -5,6 +5,8 @@ Place in the pipeline: used by the subcommands that write.
 
 import os
 import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from rfem_jax.report.console import work_begins
@@ -31,14 +33,21 @@ def open_folder(out: str | Path) -> Path:
     """
     work_begins()
     folder = Path(out)
-    try:
+    with writing_into(folder):
         folder.mkdir(parents=True, exist_ok=True)
         probe = folder / f".{secrets.token_hex(8)}.part"
         probe.touch()
         probe.unlink()
+    return folder
+
+
+@contextmanager
+def writing_into(folder: str | Path) -> Iterator[None]:
+    """In which files that cannot be written are an InputError."""
+    try:
+        yield
     except OSError as problem:
         raise cannot_write(folder, problem) from problem
-    return folder
 
 
 def cannot_write(folder: str | Path, problem: OSError) -> ValueError:

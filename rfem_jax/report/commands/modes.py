@@ -6,17 +6,10 @@ Place in the pipeline: `load_study` (description) -> `analyses.modes_report` -> 
 import argparse
 import time
 
-from rfem_jax.report.commands.command import CASE_FAILED, DONE, Answer, Command, add_study_and_folder
-from rfem_jax.report.commands.folders import cannot_write, open_folder, require_folder
-from rfem_jax.report.commands.steps import (
-    announce,
-    discretise_study,
-    files_document,
-    prepare_pictures,
-    read_study,
-    write_page,
-)
-from rfem_jax.report.progress_line import note, show
+from rfem_jax.report.commands.command import Answer, Command, add_study_and_folder
+from rfem_jax.report.commands.folders import open_folder, require_folder, writing_into
+from rfem_jax.report.commands.steps import announce, discretise_study, finish, prepare_pictures, read_study
+from rfem_jax.report.progress_line import show
 
 
 def command() -> Command:
@@ -52,16 +45,8 @@ def act(arguments: argparse.Namespace) -> Answer:
     result = report.compute_modes(study, model, arguments.count, not arguments.free)
     folder = open_folder(arguments.out)
     show(report.modes_text(study, result), end="\n\n")
-    try:
+    with writing_into(folder):
         shapes = report.mode_shapes(study, model, result)
         written = report.write_modes(folder, study, result, shapes)
-        announce("Drawing pictures")
-        pictures, hint = report.draw_modes(folder, study, result, shapes)
-    except OSError as problem:
-        raise cannot_write(folder, problem) from problem
-    if hint:
-        note(hint)
-    written += pictures + write_page(folder)
-    show(f"{len(written)} files written to {folder} ({time.perf_counter() - started:.1f} s in all).")
-    good = set(report.statuses(result)) == {"ok"}
-    return Answer(DONE if good else CASE_FAILED, files_document(folder, written))
+        written += report.draw_modes(folder, study, result, shapes)
+    return finish(folder, written, set(report.statuses(result)) == {"ok"}, started)

@@ -6,7 +6,7 @@ Place in the pipeline: a folder that other commands have written -> `report.page
 import argparse
 
 from rfem_jax.report.commands.command import Answer, Command
-from rfem_jax.report.commands.folders import cannot_write
+from rfem_jax.report.commands.folders import writing_into
 from rfem_jax.report.progress_line import show
 
 
@@ -31,9 +31,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     """Read the files, write the page. Raises InputError."""
     from rfem_jax.report.page.document import write_folder
 
-    try:
+    with writing_into(arguments.folder):
         path = write_folder(arguments.folder)
-    except OSError as problem:
-        raise cannot_write(arguments.folder, problem) from problem
     show(f"1 file written: {path}.")
     return Answer(document={"folder": str(arguments.folder), "files": [str(path)]})

@@ -12,21 +12,21 @@ from pathlib import Path
 from typing import Any
 
 from rfem_jax.report.annotations import Run, Study, Summaries
-from rfem_jax.report.commands.command import CASE_FAILED, DONE, Answer, Command, Interrupted, add_study_and_folder
-from rfem_jax.report.commands.folders import cannot_write, open_folder, require_folder
+from rfem_jax.report.commands.command import Answer, Command, Interrupted, add_study_and_folder
+from rfem_jax.report.commands.folders import open_folder, require_folder, writing_into
 from rfem_jax.report.commands.steps import (
     announce,
     files_document,
+    finish,
     prepare_pictures,
     read_study,
     require_task_folders,
     settle_method,
     settle_task,
     timed,
-    write_page,
     write_task,
 )
-from rfem_jax.report.progress_line import note, paint, remark, show
+from rfem_jax.report.progress_line import paint, remark, show
 from rfem_jax.task_kinds import task_kinds
 
 UNFINISHED = "unfinished_cases.npz"
@@ -76,24 +76,18 @@ def act(arguments: argparse.Namespace) -> Answer:
         show(wrap_lines(start_text(start)), end="\n\n")
     written: list[Path] = []
     try:
-        written += write_files(folder, study, runs, summaries, start)
-        written += write_run_pictures(folder, study, runs, summaries)
-        written += write_run_animation(folder, runs)
-    except OSError as problem:
-        raise cannot_write(folder, problem) from problem
+        with writing_into(folder):
+            written += write_files(folder, study, runs, summaries, start)
+            written += write_run_pictures(folder, study, runs, summaries)
+            written += write_run_animation(folder, runs)
     except KeyboardInterrupt:
         sentence = f"the cases are done; of their files these are in {folder}: {_names(written)}. {_go_on(arguments)}"
         raise Interrupted(sentence, files_document(folder, written)) from None
     failed = [name for name, one in summaries.items() if one["status"] != "ok"]
     if failed:
         remark(paint(f"Not every case is complete: {', '.join(failed)}.", "red", sys.stderr))
-    good = not failed
     done, files = _do_tasks(study, folder, arguments, written)
-    good, written = good and done, written + files
-    written += write_page(folder)
-    seconds = time.perf_counter() - started
-    show(f"{len(written)} files written to {folder} ({seconds:.1f} s in all).")
-    return Answer(DONE if good else CASE_FAILED, files_document(folder, written))
+    return finish(folder, written + files, done and not failed, started)
 
 
 def _with_place(statuses: dict[str, Any], runs: dict[str, Run], study: Study) -> dict[str, Any]:
@@ -167,17 +161,14 @@ def _simulate(study: Study, folder: Path) -> dict[str, Run]:
 
 def write_run_pictures(folder: Path, study: Study, runs: dict[str, Run], summaries: Summaries) -> list[Path]:
     """Draw the pictures of a run, unless matplotlib is missing, which is said."""
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError:
-        from rfem_jax.report.summary import PLOTS_HINT
+    from rfem_jax.report.pictures import drawn
 
-        note(PLOTS_HINT)
-        return []
-    announce("Drawing pictures")
-    from rfem_jax.report.figures import write_figures
+    def write():
+        from rfem_jax.report.figures import write_figures
 
-    return write_figures(folder, study, runs, summaries)
+        return write_figures(folder, study, runs, summaries)
+
+    return drawn(write)
 
 
 def write_run_animation(folder: Path, runs: dict[str, Run]) -> list[Path]:

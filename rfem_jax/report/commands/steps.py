@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from rfem_jax.report.annotations import Model, Study
-from rfem_jax.report.commands.command import Interrupted
-from rfem_jax.report.commands.folders import cannot_write
-from rfem_jax.report.progress_line import note, paint, remark, say
+from rfem_jax.report.commands.command import CASE_FAILED, DONE, Answer, Interrupted
+from rfem_jax.report.commands.folders import cannot_write, writing_into
+from rfem_jax.report.progress_line import note, paint, remark, say, show
 
 
 def announce(stage: str, done: float | None = None) -> None:
@@ -146,13 +146,20 @@ def write_page(folder: Path) -> list[Path]:
     from rfem_jax.report.page.document import write_folder
 
     announce("Writing report.html")
-    try:
-        return [write_folder(folder)]
-    except InputError as problem:
-        remark(f"report.html is not written: {problem}")
-        return []
-    except OSError as problem:
-        raise cannot_write(folder, problem) from problem
+    with writing_into(folder):
+        try:
+            return [write_folder(folder)]
+        except InputError as problem:
+            remark(f"report.html is not written: {problem}")
+    return []
+
+
+def finish(folder: Path, written: list[Path], good: bool, started: float) -> Answer:
+    """Write the page of all results, and say how many files were written since `started` [s of `perf_counter`]; the
+    answer of a command whose results are `good`, or failed in part."""
+    written = written + write_page(folder)
+    show(f"{len(written)} files written to {folder} ({time.perf_counter() - started:.1f} s in all).")
+    return Answer(DONE if good else CASE_FAILED, files_document(folder, written))
 
 
 def require_task_folders(study: Study, tasks: Sequence[str], out: str | Path) -> None:

@@ -17,14 +17,13 @@ from rfem_jax.report.commands.command import (
 from rfem_jax.report.commands.folders import open_folder, require_folder
 from rfem_jax.report.commands.steps import (
     files_document,
+    finish,
     prepare_pictures,
     read_study,
     require_task_folders,
     settle_method,
-    write_page,
     write_task,
 )
-from rfem_jax.report.progress_line import show
 from rfem_jax.task_kinds import TaskKind, task_kinds
 
 
@@ -65,8 +64,5 @@ def _do(task: str, arguments: argparse.Namespace) -> Answer:
     folder = open_folder(arguments.out)
     good, written = write_task(study, task, folder)
     if written:  # not by the helpers of process 0
-        written += write_page(folder)
-    seconds = time.perf_counter() - started
-    if written:
-        show(f"{len(written)} files written to {folder} ({seconds:.1f} s in all).")
+        return finish(folder, written, good, started)
     return Answer(DONE if good else CASE_FAILED, files_document(folder, written))

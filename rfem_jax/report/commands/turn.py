@@ -8,17 +8,10 @@ import time
 from typing import Any
 
 from rfem_jax.report.annotations import Model
-from rfem_jax.report.commands.command import CASE_FAILED, DONE, Answer, Command, add_study_and_folder
-from rfem_jax.report.commands.folders import cannot_write, open_folder, require_folder
-from rfem_jax.report.commands.steps import (
-    announce,
-    discretise_study,
-    files_document,
-    prepare_pictures,
-    read_study,
-    write_page,
-)
-from rfem_jax.report.progress_line import note, show
+from rfem_jax.report.commands.command import Answer, Command, add_study_and_folder
+from rfem_jax.report.commands.folders import open_folder, require_folder, writing_into
+from rfem_jax.report.commands.steps import announce, discretise_study, finish, prepare_pictures, read_study
+from rfem_jax.report.progress_line import show
 
 
 def command() -> Command:
@@ -58,18 +51,10 @@ def act(arguments: argparse.Namespace) -> Answer:
     turn = report.compute_turn(study, model, positions)
     folder = open_folder(arguments.out)
     show(report.turn_text(study, model, turn), end="\n\n")
-    try:
+    with writing_into(folder):
         written = report.write_turn(folder, study, model, turn)
-        announce("Drawing pictures")
-        pictures, hint = report.draw_turn(folder, study, model, turn)
-    except OSError as problem:
-        raise cannot_write(folder, problem) from problem
-    if hint:
-        note(hint)
-    written += pictures + write_page(folder)
-    show(f"{len(written)} files written to {folder} ({time.perf_counter() - started:.1f} s in all).")
-    good = set(report.statuses(turn)) == {"ok"}
-    return Answer(DONE if good else CASE_FAILED, files_document(folder, written))
+        written += report.draw_turn(folder, study, model, turn)
+    return finish(folder, written, set(report.statuses(turn)) == {"ok"}, started)
 
 
 def _position(text: str | None, name: str, model: Model) -> float | None:

@@ -5,8 +5,6 @@ Failed samples are counted, and not drawn; a study succeeds as long as any sampl
 mm, metrics in their own units.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +12,6 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from rfem_jax.compilation import keys
-from rfem_jax.compilation.stages import on_stage
-from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.monte_carlo import MonteCarloTask
 from rfem_jax.description.tolerances.error_catalogue import as_specified
@@ -31,34 +26,32 @@ from rfem_jax.report.style import (
     panel_grid,
 )
 from rfem_jax.report.tasks import study_problem
+from rfem_jax.report.tasks.sampled_report import SampledReport
 from rfem_jax.report.tasks.sobol_bars import sobol_figure
 from rfem_jax.report.tasks.task_files import metric_units, write_task_json
-from rfem_jax.report.tasks.task_report import GRADIENT, TaskReport
+from rfem_jax.report.tasks.task_report import GRADIENT, as_stage
 from rfem_jax.text_layout import size_text
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
-from rfem_jax.tolerancing.problems.results_store import StudyFolderError
-from rfem_jax.tolerancing.problems.sharing import process_count, process_index
+from rfem_jax.tolerancing.problems.sharing import process_count
 from rfem_jax.tolerancing.sampling.monte_carlo_result import MonteCarloResult
-from rfem_jax.tolerancing.sampling.monte_carlo_study import first_samples
+from rfem_jax.tolerancing.sampling.monte_carlo_study import first_samples, monte_carlo_samples
 from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo as sample_problem
+from rfem_jax.tolerancing.sampling.sampled_studies import SampleStudy
 from rfem_jax.tolerancing.sampling.statistics import Estimate
-from rfem_jax.tolerancing.sampling.study_identity import require_folder
 
 MOST_PANELS = 12
 MOST_EACH = 4  # errors and metrics of a scatter matrix
 
 
-class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
+class MonteCarloReport(SampledReport[MonteCarloTask, MonteCarloResult]):
     """Scatter of metrics over the tolerances."""
 
-    def require_folder(self, folder: Path) -> None:
+    words = "Monte Carlo study", "samples"
+
+    def samples(self) -> SampleStudy:
         task = self.task
-        with self._folder_in_words(folder):
-            require_folder(
-                folder / self.name, task.metrics, Tolerances.of(self.study), jax.random.key(task.seed),
-                batch=task.batch, lanes=task.lanes, sampling=task.sampling, sobol_indices=task.sobol_indices,
-                description=describe_study(self.study),
-            )  # fmt: skip
+        tolerances, key = Tolerances.of(self.study), jax.random.key(task.seed)
+        return monte_carlo_samples(tolerances, key, task.batch, task.lanes, task.sampling, task.sobol_indices)
 
     def trials(self) -> dict[str, Float[Array, " n"]]:
         """The first of the samples: the perfect mechanism, which none of them is, may need a far shorter step."""
@@ -70,50 +63,19 @@ class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
         Raises: InputError for a folder of another study (in the words of the command line, where the
             folder is in DIR of `--out DIR`); ChunkWriteError for a full disk.
         """
-        task, tolerances = self.task, Tolerances.of(self.study)
-        stage = (
+        task = self.task
+        progress = as_stage(
             f"Sampling {task.n} mechanisms on {jax.local_device_count()} devices"
             f" of {process_count()} process{'es' if process_count() > 1 else ''}"
         )
-        on_stage(stage)
-
-        def report(done: int, total: int) -> None:
-            on_stage(stage, done / total)
-
-        progress: Any = report
-        with self._folder_in_words(folder):
+        with self.folder_in_words(folder):
             return sample_problem(
-                study_problem.build_problem(self.study, task.metrics, trials=self.trials()), tolerances, task.n,
-                jax.random.key(task.seed), batch=task.batch, lanes=task.lanes, sampling=task.sampling,
-                limits=task.limits, quantiles=task.quantiles, confidence=task.confidence,
-                sobol_indices=task.sobol_indices, control_variate=task.control_variate or None,
-                resume=folder / self.name, progress=progress, description=describe_study(self.study),
+                study_problem.build_problem(self.study, task.metrics, trials=self.trials()),
+                Tolerances.of(self.study), task.n, jax.random.key(task.seed), batch=task.batch, lanes=task.lanes,
+                sampling=task.sampling, limits=task.limits, quantiles=task.quantiles, confidence=task.confidence,
+                sobol_indices=task.sobol_indices, control_variate=task.control_variate or None, progress=progress,
+                **self.kept_as(folder),
             )  # fmt: skip
-
-    @contextmanager
-    def _folder_in_words(self, folder: Path) -> Iterator[None]:
-        """In which a folder that cannot be used is refused in the words of the command line."""
-        try:
-            yield
-        except StudyFolderError as problem:
-            raise InputError(
-                "Argument `--out` must be a folder in which this Monte Carlo study can start or "
-                f"continue, but {problem.finding}; choose another folder, specify the same study, or "
-                f"remove `{folder / self.name}` and its samples."
-            ) from None
-
-    def left(self, folder: Path) -> str:
-        count = len(list((folder / self.name).glob("chunk-*.npz")))
-        return f"{count} chunks of samples are kept in {folder / self.name}" if count else super().left(folder)
-
-    def succeeded(self, result: MonteCarloResult) -> bool:
-        return result.good > 0
-
-    def text(self, result: MonteCarloResult) -> str:
-        return str(result)
-
-    def text_of_helper(self, result: MonteCarloResult) -> str:
-        return f"Process {process_index()} computed {result.chunks_computed} chunks."
 
     def write(self, folder: Path, result: MonteCarloResult) -> list[Path]:
         """Write monte_carlo.json and monte_carlo.csv (one row per sample: status, errors, metrics, with their units in
@@ -162,19 +124,6 @@ class MonteCarloReport(TaskReport[MonteCarloTask, MonteCarloResult]):
             "scatter_matrix": scatter_matrix_figure(self.study, result),
         }
         return figures if result.sobol_indices is None else figures | {"sobol": sobol_figure(self.study, result)}
-
-
-def describe_study(study: Study) -> dict[str, str]:
-    """Digests of what the problem of a study is made of, {name: digest}, without those of which none is known (with a
-    function of the user): known before a model is built."""
-    method = study.method if study.asked_method is None else study.asked_method
-    parts = {"mechanism": study.mechanism, "drive": study.drive}
-    parts["simulation"] = (study.duration, method, study.save_every)
-    found = {}
-    for name, part in parts.items():
-        with suppress(keys.NotDigestible):
-            found[name] = keys.digest_value(part)
-    return found
 
 
 def _estimate(estimate: Estimate) -> dict[str, float]:

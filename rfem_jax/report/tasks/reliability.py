@@ -5,7 +5,6 @@ Place in the pipeline: `rfem_jax.description.tasks.reliability` -> **reliability
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
@@ -34,19 +33,12 @@ class ReliabilityReport(TaskReport[ReliabilityTask, ReliabilityResult]):
         task = self.task
         on_stage(f"Searching failures of {len(task.limits)} limits")
         problem = study_problem.build_problem(self.study, task.metrics)
-
-        def report(done: int, total: int) -> None:
-            on_stage(f"Sampling {total} mechanisms where limits fail", done / total)
-
-        progress: Any = report
         return find_failures(
             problem, Tolerances.of(self.study), task.limits, jax.random.key(task.seed), n=task.n,
             level_samples=task.level_samples, starts=task.starts, rounds=task.rounds, confidence=task.confidence,
-            mode=task.mode, batch=task.batch, progress=progress,
+            mode=task.mode, batch=task.batch,
+            progress=lambda done, total: on_stage(f"Sampling {total} mechanisms where limits fail", done / total),
         )  # fmt: skip
-
-    def text(self, result: ReliabilityResult) -> str:
-        return str(result)
 
     def write(self, folder: Path, result: ReliabilityResult) -> list[Path]:
         """Write reliability.json and reliability.csv (one row per end of a limit; `unit` is that of `limit` and

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from rfem_jax.compilation.stages import on_stage
 from rfem_jax.description.metrics.catalogue import kinked, only_at_start
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.sensitivity import SensitivityTask
@@ -21,7 +20,7 @@ from rfem_jax.report.output import write_csv
 from rfem_jax.report.style import BAR_COLOURS, HATCHES, add_titles, new_figure, panel_grid
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_files import metric_units, write_task_json
-from rfem_jax.report.tasks.task_report import GRADIENT, TaskReport
+from rfem_jax.report.tasks.task_report import GRADIENT, TaskReport, as_stage
 from rfem_jax.text_layout import align_columns, wrap_lines
 from rfem_jax.tolerancing.contributions import VarianceShares
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
@@ -62,13 +61,12 @@ class SensitivityReport(TaskReport[SensitivityTask, Derivatives]):
         task, study = self.task, self.study
         problem = study_problem.build_problem(study, task.metrics)
         twice = " (twice: with the finer step too)" if self.twice else ""
-        stage = f"Differentiating {len(task.metrics)} metrics to order {task.order}{twice}"
-        on_stage(stage)
+        progress = as_stage(f"Differentiating {len(task.metrics)} metrics to order {task.order}{twice}")
         refined = problem.refined() if self.twice else None
         tolerances = Tolerances.of(self.study)
         found = differentiate(
             problem, task.at, task.order, tolerances, task.mode, batch=task.batch, refined=refined,
-            progress=lambda done, total: on_stage(stage, done / total),
+            progress=progress,
         )  # fmt: skip
         return Derivatives(found, bool(getattr(problem, "undamped", False)))
 

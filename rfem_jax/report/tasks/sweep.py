@@ -4,8 +4,6 @@ Place in the pipeline: `rfem_jax.description.tasks.sweep` -> **sweep** -> termin
 errors in deg and mm, metrics in their own units.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,8 +12,6 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from rfem_jax.compilation.stages import on_stage
-from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.parameters.deviations import deviation_unit
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.sweep import SweepTask
@@ -25,31 +21,28 @@ from rfem_jax.report.output import write_csv
 from rfem_jax.report.overview import format_error
 from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles, new_figure, panel_grid
 from rfem_jax.report.tasks import study_problem
-from rfem_jax.report.tasks.monte_carlo import describe_study
+from rfem_jax.report.tasks.sampled_report import SampledReport
 from rfem_jax.report.tasks.task_files import metric_units, write_task_json
-from rfem_jax.report.tasks.task_report import TaskReport
+from rfem_jax.report.tasks.task_report import as_stage
 from rfem_jax.tolerancing.designs.response_surface import ResponseSurface
-from rfem_jax.tolerancing.designs.sweep_study import SweepResult, ranges, require_sweep_folder
+from rfem_jax.tolerancing.designs.sweep_study import SweepResult, sweep_samples
 from rfem_jax.tolerancing.designs.sweep_study import sweep as run_sweep
-from rfem_jax.tolerancing.problems.results_store import StudyFolderError
-from rfem_jax.tolerancing.problems.sharing import process_index
+from rfem_jax.tolerancing.sampling.sampled_studies import SampleStudy
 
 MOST_EACH = 4  # errors and metrics of the responses
 MOST_PANELS = 8
 FINE = 61  # points of a curve, and of a side of a contour map
 
 
-class SweepReport(TaskReport[SweepTask, SweepResult]):
+class SweepReport(SampledReport[SweepTask, SweepResult]):
     """Metrics on a design of experiments."""
 
-    def require_folder(self, folder: Path) -> None:
+    words = "sweep", "points"
+
+    def samples(self) -> SampleStudy:
         task = self.task
-        with self._folder_in_words(folder):
-            require_sweep_folder(
-                folder / self.name, task.metrics, ranges(task.bounds, task.at), jax.random.key(task.seed),
-                design=task.design, levels=task.levels, batch=task.batch, lanes=task.lanes,
-                description=describe_study(self.study),
-            )  # fmt: skip
+        key = jax.random.key(task.seed)
+        return sweep_samples(task.bounds, task.at, key, task.design, task.levels, task.batch, task.lanes)
 
     def run(self, folder: Path) -> SweepResult:
         """All points of the design; chunks are kept in `folder`/sweep, where a run continues.
@@ -57,45 +50,14 @@ class SweepReport(TaskReport[SweepTask, SweepResult]):
         Raises: InputError for a folder of another study; ChunkWriteError for a full disk.
         """
         task = self.task
-        stage = f"Sweeping over {len(task.bounds)} quantities"
-        on_stage(stage)
-
-        def report(done: int, total: int) -> None:
-            on_stage(stage, done / total)
-
-        progress: Any = report
+        progress = as_stage(f"Sweeping over {len(task.bounds)} quantities")
         bounds: Any = task.bounds
-        with self._folder_in_words(folder):
+        with self.folder_in_words(folder):
             return run_sweep(
                 study_problem.build_problem(self.study, task.metrics), bounds, design=task.design, levels=task.levels,
                 n=task.n, key=jax.random.key(task.seed), at=task.at, batch=task.batch, lanes=task.lanes,
-                resume=folder / self.name, progress=progress, description=describe_study(self.study),
+                progress=progress, **self.kept_as(folder),
             )  # fmt: skip
-
-    @contextmanager
-    def _folder_in_words(self, folder: Path) -> Iterator[None]:
-        """In which a folder that cannot be used is refused in the words of the command line."""
-        try:
-            yield
-        except StudyFolderError as problem:
-            raise InputError(
-                "Argument `--out` must be a folder in which this sweep can start or "
-                f"continue, but {problem.finding}; choose another folder, specify the same study, or "
-                f"remove `{folder / self.name}` and its points."
-            ) from None
-
-    def left(self, folder: Path) -> str:
-        count = len(list((folder / self.name).glob("chunk-*.npz")))
-        return f"{count} chunks of points are kept in {folder / self.name}" if count else super().left(folder)
-
-    def succeeded(self, result: SweepResult) -> bool:
-        return result.good > 0
-
-    def text(self, result: SweepResult) -> str:
-        return str(result)
-
-    def text_of_helper(self, result: SweepResult) -> str:
-        return f"Process {process_index()} computed {result.chunks_computed} chunks."
 
     def write(self, folder: Path, result: SweepResult) -> list[Path]:
         """Write sweep.json (ranges and the response surface, about the middle of the ranges, by m and rad) and

@@ -6,7 +6,7 @@ and drawn. A kind of task from outside the package begins here too (`rfem_jax.ta
 
 import abc
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
@@ -23,12 +23,12 @@ from rfem_jax.description.tolerances.tolerances import SpecifiedTolerances
 from rfem_jax.description.tolerances.zones import SpecifiedZone
 from rfem_jax.report.annotations import Figure
 from rfem_jax.report.overview import format_error
-from rfem_jax.report.pictures import write_pictures
-from rfem_jax.report.progress_line import note, show
+from rfem_jax.report.pictures import drawn, write_pictures
+from rfem_jax.report.progress_line import show
 from rfem_jax.report.style import SETTINGS
-from rfem_jax.report.summary import PLOTS_HINT
 from rfem_jax.report.tables import notes_text, title_text
-from rfem_jax.tolerancing.problems.kept_evaluations import count_kept, kept_in
+from rfem_jax.tolerancing.problems.kept_evaluations import kept_in
+from rfem_jax.tolerancing.problems.results_store import count_chunks
 from rfem_jax.tolerancing.problems.sharing import process_index
 
 GRADIENT = 3.0  # simulations that one with first derivatives takes (benchmarks/gradients.py)
@@ -64,9 +64,9 @@ class TaskReport(abc.ABC, Generic[Asked, Result]):
         Raises: InputError for what cannot be computed.
         """
 
-    @abc.abstractmethod
     def text(self, result: Result) -> str:
         """What is printed, without the title of the study."""
+        return str(result)
 
     @abc.abstractmethod
     def write(self, folder: Path, result: Result) -> list[Path]:
@@ -139,7 +139,7 @@ class TaskReport(abc.ABC, Generic[Asked, Result]):
 
     def left(self, folder: Path) -> str:
         """What an interrupted run has left for the next one, in words; "" for nothing."""
-        count = count_kept(self.unfinished(folder))
+        count = count_chunks(self.unfinished(folder))
         return f"{count} evaluations are kept in {self.unfinished(folder)}" if count else ""
 
     def do(self, folder: Path) -> tuple[bool, list[Path]]:
@@ -152,16 +152,7 @@ class TaskReport(abc.ABC, Generic[Asked, Result]):
             return good, []
         notes = notes_text(getattr(self.task, "metrics", ()))
         show("\n\n".join([title_text(self.study), self.text(result), *notes]), end="\n\n")
-        return good, self.write(folder, result) + self._draw(folder, result)
-
-    def _draw(self, folder: Path, result: Result) -> list[Path]:
-        try:
-            import matplotlib  # noqa: F401
-        except ImportError:
-            note(PLOTS_HINT)
-            return []
-        on_stage("Drawing pictures")
-        return write_pictures(folder, self.pictures(result))
+        return good, self.write(folder, result) + drawn(lambda: write_pictures(folder, self.pictures(result)))
 
 
 def _zone(zone: SpecifiedZone) -> str:
@@ -174,3 +165,9 @@ def _limit(name: str, pair: tuple[float, float]) -> str:
     if not math.isfinite(low):
         return f"{name} <= {high:g}"
     return f"{name} >= {low:g}" if not math.isfinite(high) else f"{low:g} <= {name} <= {high:g}"
+
+
+def as_stage(stage: str) -> Callable[[int, int], None]:
+    """Begin a stage, and return the function (done, total) by which a study tells how far it is."""
+    on_stage(stage)
+    return lambda done, total: on_stage(stage, done / total)

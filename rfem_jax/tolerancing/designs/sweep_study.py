@@ -1,13 +1,12 @@
 """Sweeps: all metrics on a grid or at Sobol' points over ranges of the errors.
 
-Place in the pipeline: problem + ranges -> samples (`execution`, kept in a folder as those of Monte Carlo) -> response
-surface -> result.
+Place in the pipeline: problem + ranges -> samples (`sampled_studies`, as Monte Carlo) -> response surface -> result.
 
 Symbols: N points, k errors that vary, m metrics; errors (N, k) [rad or m], values (N, m) [units of the metrics].
 Source: theory (10.27); Sobol' points: see `sampling.sequences`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,14 +25,11 @@ from rfem_jax.tolerancing.designs.response_surface import ResponseSurface, fit_r
 from rfem_jax.tolerancing.layout import show_error, show_number
 from rfem_jax.tolerancing.problems.distributions import DISTRIBUTIONS
 from rfem_jax.tolerancing.problems.evaluation import read_point
-from rfem_jax.tolerancing.problems.execution import fingerprint_problem, run_chunks
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
-from rfem_jax.tolerancing.problems.results_store import ResultsStore, require_study
-from rfem_jax.tolerancing.problems.sample_values import default_lanes
 from rfem_jax.tolerancing.progress import ProgressOption
+from rfem_jax.tolerancing.sampling.sampled_studies import SampleStudy, sample_study
 from rfem_jax.tolerancing.sampling.sequences import RandomKey, unit_points
-from rfem_jax.tolerancing.sampling.study_identity import identify_request
 
 DESIGNS = ("grid", "sobol")
 Bounds = Mapping[str, tuple[ErrorValue, ErrorValue]]
@@ -164,31 +160,21 @@ def sweep(
     require_float64()
     names, ends = _read_bounds(problem, bounds)
     fixed = _read_fixed(problem, at, names)
-    for what, number, least in (("levels", levels, 2), ("n", n, 2), ("batch", batch, 1)):
+    for what, number, least in (("levels", levels, 2), ("n", n, 2)):
         whole_number(number, what, least)
     key = jax.random.key(0) if key is None else key
+    study = sweep_samples(dict(zip(names, ends, strict=True)), fixed, key, design, levels, batch, lanes)
     points = design_of(design, len(names), levels, n, key)
-    tolerances = ranges(dict(zip(names, ends, strict=True)), fixed)
     complete = np.concatenate([points, np.full((len(points), len(fixed)), 0.5)], axis=1)
-    lanes = default_lanes() if lanes is None else whole_number(lanes, "lanes", 1)
-    metrics = tuple(metric.name for metric in problem.metrics)
-    store = None
-    if resume is not None:
-        identity = _identity(metrics, tolerances, key, design, levels, batch, lanes)
-        identity |= {"problem": fingerprint_problem(problem)}
-        store = ResultsStore(resume, identity, {"n": len(points)}, description)
-    samples, computed = run_chunks(
-        problem, tolerances, complete, batch=batch, lanes=lanes, store=store, progress=progress
+    samples, computed = study.run(
+        problem, complete, {"n": len(points)}, resume=resume, progress=progress, description=description
     )
     return _result(problem, names, ends, fixed, samples, design, levels, computed)
 
 
 def _result(problem, names, ends, fixed, samples, design, levels, computed) -> SweepResult:
     metrics = tuple(metric.name for metric in problem.metrics)
-    finite = np.all(np.isfinite(samples["values"]), axis=1)
-    status = np.where((samples["status"] == 0) & ~finite, -1, samples["status"])
-    values = np.where((status == 0)[:, None], samples["values"], np.nan)
-    errors = samples["errors"][:, : len(names)]
+    errors, values = samples["errors"][:, : len(names)], samples["values"]
     surface, note = None, ""
     try:
         surface = fit_response_surface(names, metrics, errors, values)
@@ -204,7 +190,7 @@ def _result(problem, names, ends, fixed, samples, design, levels, computed) -> S
         at=fixed,
         errors=errors,
         values=values,
-        status=status,
+        status=samples["status"],
         design=design,
         levels=levels,
         surface=surface,
@@ -227,37 +213,22 @@ def design_of(design: str, k: int, levels: int, n: int, key: RandomKey) -> Float
     return np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
 
 
-def ranges(bounds: Mapping[str, tuple[float, float]], fixed: Mapping[str, float]) -> Tolerances:
-    """Errors uniform between bounds [rad or m], and fixed ones as ranges without width."""
-    uniform = DISTRIBUTIONS["uniform"]
-    varying = {name: uniform(interval=pair) for name, pair in bounds.items()}
-    return Tolerances(varying | {name: uniform(interval=(value, value)) for name, value in fixed.items()})
-
-
-def require_sweep_folder(
-    folder: str | Path,
-    metrics: Sequence[str],
-    tolerances: Tolerances,
+def sweep_samples(
+    bounds: Mapping[str, tuple[float, float]],
+    fixed: Mapping[str, float],
     key: RandomKey,
-    *,
     design: str,
     levels: int,
     batch: int,
     lanes: int | None,
-    description: Mapping[str, str] | None = None,
-) -> None:
-    """See that a sweep can start or continue in `folder`, without its problem and without writing anything.
-
-    Args: metrics, names; tolerances, as `ranges` gives them; the others as of `sweep`.
-    Raises: StudyFolderError for a folder of another study, one that holds other files, and one that cannot be written.
-    """
-    lanes = default_lanes() if lanes is None else lanes
-    require_study(folder, _identity(metrics, tolerances, key, design, levels, batch, lanes), description)
-
-
-def _identity(metrics, tolerances, key, design, levels, batch, lanes) -> dict[str, Any]:
-    request = identify_request(metrics, tolerances, key, batch=batch, lanes=lanes, sampling=design, sobol_indices=False)
-    return request | {"study": "sweep", "levels": levels if design == "grid" else None}
+) -> SampleStudy:
+    """The points of a sweep, and its folder: errors uniform between bounds [rad or m], and fixed ones as ranges without
+    width; arguments and errors as of `sweep`."""
+    uniform = DISTRIBUTIONS["uniform"]
+    varying = {name: uniform(interval=pair) for name, pair in bounds.items()}
+    tolerances = Tolerances(varying | {name: uniform(interval=(value, value)) for name, value in fixed.items()})
+    grid = {"levels": levels} if design == "grid" else {}
+    return sample_study("sweep", tolerances, key, batch=batch, lanes=lanes, design=design, **grid)
 
 
 def _read_fixed(problem: ToleranceProblem, at: ErrorValues | None, names: tuple[str, ...]) -> dict[str, float]:

@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
 from rfem_jax.description.basics.errors import InputError
+from rfem_jax.kernels import expecting
 from rfem_jax.tolerancing.checks import ErrorValues, check_known, error_value
 from rfem_jax.tolerancing.problems.kept_evaluations import remembered
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
@@ -115,22 +116,29 @@ def run_in_chunks(
     program: Callable[..., tuple[Array, ...]],
     width: int,
     *rows: Shaped[np.ndarray, "n ..."],
-    of: tuple[ToleranceProblem, Any],
+    of: tuple[ToleranceProblem, Any] | None,
+    advance: Callable[[int], object] = lambda count: None,
 ) -> tuple[np.ndarray, ...]:
-    """Run a program on arrays of n rows, `width` rows at a time, from the host.
+    """Run a program on arrays of n rows, `width` rows at a time, from the host; the last chunk is filled up.
 
     Args: program takes arrays of `width` rows and returns a tuple of arrays with as many; of, its problem and what else
-        its results depend on beside the rows (`kept_evaluations.remembered`).
+        its results depend on beside the rows (`kept_evaluations.remembered`), None for what is kept elsewhere;
+        advance(count) is called when so many more rows are done.
     Returns: the program's results for all n rows.
     """
-    problem, inputs = of
     parts = []
-    for first in range(0, len(rows[0]), width):
-        chunk = [np.asarray(array)[first : first + width] for array in rows]
-        used = len(chunk[0])
-        filled = [np.concatenate([c, np.repeat(c[:1], width - used, axis=0)]) for c in chunk]
-        results = remembered(problem, (inputs, *filled), lambda: program(*map(jnp.asarray, filled)))
-        parts.append([np.asarray(result)[:used] for result in results])
+    with expecting(-(-len(rows[0]) // width)):
+        for first in range(0, len(rows[0]), width):
+            chunk = [np.asarray(array)[first : first + width] for array in rows]
+            used = len(chunk[0])
+            filled = [np.concatenate([c, np.repeat(c[:1], width - used, axis=0)]) for c in chunk]
+
+            def compute(filled=filled):
+                return program(*map(jnp.asarray, filled))
+
+            results = compute() if of is None else remembered(of[0], (of[1], *filled), compute)
+            parts.append([np.asarray(result)[:used] for result in results])
+            advance(used)
     return tuple(np.concatenate(part) for part in zip(*parts, strict=True))
 
 
@@ -140,17 +148,20 @@ def evaluate_points(
     base: Base,
     points: Float[np.ndarray, "n k"] | Sequence[Sequence[float]],
     batch: int = 256,
+    advance: Callable[[int], object] = lambda count: None,
 ) -> tuple[Float[np.ndarray, "n m"], Int[np.ndarray, " n"]]:
     """All metrics at many points, chunk by chunk from the host (one compiled program).
 
     Args: names (k) of the errors that vary and base, the others, as `split_errors` gives them; points (n, k) [rad, m];
-        batch, the most points at once on each device (fewer where it gains nothing by more).
+        batch, the most points at once on each device (fewer where it gains nothing by more); advance, as of
+        `run_in_chunks`.
     Returns: values (n, m), NaN where the sample failed, and status (n,).
     """
     points, (shared, rows, _), mesh = np.asarray(points, dtype=np.float64), values_form(problem), local_mesh()
     values, statuses = run_in_chunks(
         lambda chunk: evaluate_lanes(shared, names, base, divided(mesh, chunk), mesh),
         min(batch, default_lanes()) * mesh.size, points, of=(problem, ("values", tuple(names), base)),
+        advance=advance,
     )  # fmt: skip
     return np.where((statuses == 0)[:, None], values[:, rows], np.nan), statuses
 

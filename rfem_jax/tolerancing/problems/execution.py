@@ -1,6 +1,6 @@
 """Running many samples: lanes, devices, processes, chunks.
 
-Place in the pipeline: between the Monte Carlo study and the problem.
+Place in the pipeline: evaluation -> **execution** -> studies of samples (`sampling.sampled_studies`).
 
     launch   `lanes` samples on each local device: one compiled program, whatever the batch
     chunk    `batch` samples, the unit that is stored; chunks are launched together as far as they fit, and the last
@@ -22,8 +22,6 @@ Symbols: N samples, d coordinates, m metrics; points (N, d) of the unit cube, er
 Source: none; the layout is this library's own.
 """
 
-import hashlib
-import re
 import time
 from collections.abc import Sequence
 
@@ -32,11 +30,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from rfem_jax.compilation import keys
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.basics.errors import InputError
-from rfem_jax.kernels import expecting
 from rfem_jax.tolerancing.problems import sharing
+from rfem_jax.tolerancing.problems.evaluation import run_in_chunks
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem, values_form
 from rfem_jax.tolerancing.problems.results_store import ResultsStore
@@ -85,19 +82,15 @@ def evaluate(problem: ToleranceProblem, tolerances: Tolerances, points: Float[np
     The program of the values is that of `evaluate_points`, and serves distributions of any kind.
     Returns: {"errors": (N, d), "values": (N, m), "status": (N,)}, and the problem's checks (N,) by their names.
     """
-    mesh, names, (problem, metrics, checks) = mesh_of(jax.local_devices()), tolerances.names, values_form(problem)
-    width, count = lanes * mesh.size, len(points)
-    points = np.concatenate([points, np.repeat(points[-1:], -count % width, axis=0)])
-    blocks = np.split(points, len(points) // lanes)
-    errors = np.concatenate([np.asarray(_draw(tolerances, jnp.asarray(block))) for block in blocks])
-    parts = []
-    for first in range(0, len(points), width):
-        rows = divided(mesh, errors[first : first + width])
-        with expecting(len(points) // width):
-            parts.append(jax.device_get(evaluate_lanes(problem, names, {}, rows, mesh)))
-    values, status = (np.concatenate(part)[:count] for part in zip(*parts, strict=True))
+    mesh, (form, metrics, checks) = mesh_of(jax.local_devices()), values_form(problem)
+    (errors,) = run_in_chunks(lambda block: (_draw(tolerances, block),), lanes, points, of=None)
+
+    def launch(rows):
+        return evaluate_lanes(form, tolerances.names, {}, divided(mesh, rows), mesh)
+
+    values, status = run_in_chunks(launch, lanes * mesh.size, errors, of=None)
     watched = {name: values[:, row] for name, row in checks.items()}
-    return {"errors": errors[:count], "values": values[:, metrics], "status": status, **watched}
+    return {"errors": errors, "values": values[:, metrics], "status": status, **watched}
 
 
 def run_chunks(
@@ -208,23 +201,3 @@ def _wait_for(store: ResultsStore, missing: dict[int, int], signs: sharing.Signs
         if len(chunks) < len(missing):
             time.sleep(POLL)
     return chunks
-
-
-def fingerprint_problem(problem: ToleranceProblem) -> str:
-    """SHA-256 of a problem: of its own `fingerprint()` if it has one; else of all its numbers, its structure and the
-    sources of this package; else, where it contains a function of the user, of its program.
-
-    The program (StableHLO of one sample, with all constants) changes with every number and every operation of the
-    model, and not from run to run; so do numbers and sources, which need no tracing.
-    """
-    own = getattr(problem, "fingerprint", None)
-    if callable(own):
-        return hashlib.sha256(str(own()).encode()).hexdigest()
-    try:
-        return keys.digest_content(problem)
-    except keys.NotDigestible:
-        scalar = jax.ShapeDtypeStruct((), jnp.float64)
-        errors = dict.fromkeys(problem.error_names, scalar)
-        text = jax.jit(lambda e: problem(e)).lower(errors).as_text()
-        text = re.sub(r"index = \d+ : ui64", "", text)  # callbacks are counted per Python process
-        return hashlib.sha256(text.encode()).hexdigest()

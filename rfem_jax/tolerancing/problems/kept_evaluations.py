@@ -13,6 +13,7 @@ A problem with a function of the user, whose content is not known, is computed a
 
 import errno
 import hashlib
+import re
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -20,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from rfem_jax.compilation import keys
@@ -48,35 +50,56 @@ class KeptEvaluations:
             return compute()
         number, self.count = self.count, self.count + 1
         known = hashlib.sha256(repr((digest, keys.digest_value(inputs))).encode()).hexdigest()
-        found = None if self._store is None else self._store.read(number)
-        if found is not None and str(found["of"]) == known:
+        found = None if self._store is None else self._store.read(number, warn=False, of=known)
+        if found is not None:
             self.read += 1
             return [found.get(f"result_{i}") for i in range(int(found["length"]))]
         results = [None if one is None else np.asarray(one) for one in compute()]
         arrays = {f"result_{i}": one for i, one in enumerate(results) if one is not None}
+        arrays["length"] = np.array(len(results))
         if self._store is None:
             self._store = ResultsStore(self.folder, STUDY)
-        arrays |= {"of": np.array(known), "length": np.array(len(results))}
         try:
-            self._store.write(number, arrays)
+            self._store.write(number, arrays, known)
         except ChunkWriteError as error:
             if error.errno != errno.ENOENT:
                 raise
             # Another process did the same, was done, and removed the folder.
             self._store = ResultsStore(self.folder, STUDY)
-            self._store.write(number, arrays)
+            self._store.write(number, arrays, known)
         return results
 
     def _digest(self, problem: ToleranceProblem) -> str | None:
-        held = self._problems.get(id(problem))
-        if held is None:
-            own = getattr(problem, "fingerprint", None)
-            try:
-                digest = str(own()) if callable(own) else keys.digest_content(problem)
-            except keys.NotDigestible:
-                digest = None
-            held = self._problems[id(problem)] = problem, digest
-        return held[1]
+        if id(problem) not in self._problems:
+            self._problems[id(problem)] = problem, known_content(problem)
+        return self._problems[id(problem)][1]
+
+
+def known_content(problem: ToleranceProblem) -> str | None:
+    """SHA-256 of a problem: of its own `fingerprint()` if it has one; else of all its numbers, its structure and the
+    sources of this package. None where it contains a function of the user, whose content is not known."""
+    own = getattr(problem, "fingerprint", None)
+    if callable(own):
+        return hashlib.sha256(str(own()).encode()).hexdigest()
+    try:
+        return keys.digest_content(problem)
+    except keys.NotDigestible:
+        return None
+
+
+def fingerprint_problem(problem: ToleranceProblem) -> str:
+    """`known_content`, and SHA-256 of the program of a problem that has none.
+
+    The program (StableHLO of one sample, with all constants) changes with every number and every operation of the
+    model, and not from run to run; so do numbers and sources, which need no tracing.
+    """
+    known = known_content(problem)
+    if known is not None:
+        return known
+    scalar = jax.ShapeDtypeStruct((), jnp.float64)
+    text = jax.jit(lambda e: problem(e)).lower(dict.fromkeys(problem.error_names, scalar)).as_text()
+    text = re.sub(r"index = \d+ : ui64", "", text)  # callbacks are counted per Python process
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 _open: list[KeptEvaluations] = []
@@ -99,11 +122,6 @@ def kept_in(folder: str | Path) -> Iterator[KeptEvaluations]:
         shutil.rmtree(kept.folder, ignore_errors=True)
     finally:
         _open.remove(kept)
-
-
-def count_kept(folder: str | Path) -> int:
-    """Number of evaluations in a folder, 0 where there is none."""
-    return len(list(Path(folder).glob("chunk-*.npz")))
 
 
 def remembered(problem: ToleranceProblem, inputs: Any, compute: Callable[[], Results]) -> Results:

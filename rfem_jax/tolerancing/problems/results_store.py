@@ -1,20 +1,18 @@
 """The folder of a study: its manifest and its chunks of samples, safe against every interruption.
 
-Place in the pipeline: under the Monte Carlo study; knows nothing of problems and tolerances.
+Place in the pipeline: whole_files -> **results_store** -> studies of samples, and the evaluations of all others
+(`kept_evaluations`); knows nothing of problems and tolerances.
 
     FOLDER/manifest.json     identifies the study: if anything but the number of samples differs, it is another one;
                              beside that, a description of its problem, which is no part of the identity
     FOLDER/chunk-000042.npz  samples of one chunk: named arrays and their checksum
 
-A file appears under its name only when it is whole: it is written beside it (".tmp"), synchronised to the disk,
-renamed, and the folder synchronised. A process that dies at any instant leaves finished chunks and at most one ".tmp"
-file, which the next run removes; those of processes that live stay, as several may have one folder. The checksum
-(SHA-256) covers the study's fingerprint, the chunk's index and every array, so that a damaged chunk, and a chunk of
-another study, are found when they are read.
+A process that dies at any instant leaves finished chunks and at most one ".tmp" file, which the next run removes; those
+of processes that live stay, as several may have one folder. The checksum covers the study's fingerprint, the chunk's
+index and every array, so that a damaged chunk, and a chunk of another study, are found when they are read.
 """
 
 import hashlib
-import io
 import json
 import os
 import warnings
@@ -25,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from rfem_jax.description.basics.errors import InputError
-from rfem_jax.whole_files import UNFINISHED, remove_abandoned, write_whole
+from rfem_jax.whole_files import UNFINISHED, Damaged, pack_arrays, remove_abandoned, unpack_arrays, write_whole
 
 MANIFEST, DESCRIPTION = "manifest.json", "description"
 
@@ -96,55 +94,45 @@ class ResultsStore:
         """The file of chunk `index`."""
         return self.folder / f"chunk-{index:06d}.npz"
 
-    def write(self, index: int, arrays: dict[str, np.ndarray]) -> None:
-        """Store the arrays {name: NumPy array} of a chunk. Raises ChunkWriteError."""
-        buffer = io.BytesIO()
-        named = {"checksum": np.array(self._checksum(index, arrays)), **arrays}
-        np.savez(buffer, **named)  # pyright: ignore[reportArgumentType] - the stub takes names for `allow_pickle`
+    def write(self, index: int, arrays: dict[str, np.ndarray], of: str = "") -> None:
+        """Store the arrays {name: NumPy array} of a chunk; `of`: what else must be the same where they are read. Raises
+        ChunkWriteError."""
         try:
             remove_abandoned(self.path(index))
-            write_whole(self.path(index), buffer.getvalue())
+            write_whole(self.path(index), pack_arrays(arrays, self._owner(index, of)))
         except OSError as error:
-            kept = len(list(self.folder.glob("chunk-*.npz")))
             raise ChunkWriteError(
                 error.errno,
-                f"Chunk {index} could not be written ({error.strerror}); {kept} finished chunks "
+                f"Chunk {index} could not be written ({error.strerror}); {count_chunks(self.folder)} finished chunks "
                 "are kept: free space and start the same study again to continue",
                 str(self.folder),
             ) from error
 
-    def read(self, index: int, warn: bool = True) -> dict[str, np.ndarray] | None:
+    def read(self, index: int, warn: bool = True, of: str = "") -> dict[str, np.ndarray] | None:
         """The arrays of a finished chunk, None where there is none.
 
-        A damaged chunk counts as none, with a CorruptChunkWarning (unless `warn` is False).
+        A damaged chunk, and one that is of something else, counts as none, with a CorruptChunkWarning (unless `warn` is
+        False).
         """
         try:
-            payload = io.BytesIO(self.path(index).read_bytes())
-            with np.load(payload, allow_pickle=False) as stored:
-                arrays = {name: stored[name] for name in stored.files}
-            if str(arrays.pop("checksum")) == self._checksum(index, arrays):
-                return arrays
-        except FileNotFoundError:
-            return None
-        except Exception:
-            # NumPy, zipfile and zlib raise ten kinds of errors and more, depending on the byte that is wrong.
-            pass
-        if warn:
-            warnings.warn(
-                f"Chunk {index} in `{self.folder}` is damaged (its checksum does not fit); "
-                "its samples are computed again.",
-                CorruptChunkWarning,
-                stacklevel=2,
-            )
+            return unpack_arrays(self.path(index).read_bytes(), self._owner(index, of))
+        except (Damaged, OSError) as error:
+            if warn and not isinstance(error, FileNotFoundError):
+                warnings.warn(
+                    f"Chunk {index} in `{self.folder}` is damaged (its checksum does not fit); "
+                    "its samples are computed again.",
+                    CorruptChunkWarning,
+                    stacklevel=2,
+                )
         return None
 
-    def _checksum(self, index: int, arrays: dict[str, np.ndarray]) -> str:
-        digest = hashlib.sha256(f"{self.fingerprint} {index}".encode())
-        for name in sorted(arrays):
-            array = np.ascontiguousarray(arrays[name])
-            digest.update(f" {name} {array.dtype.str} {array.shape} ".encode())
-            digest.update(array.tobytes())
-        return digest.hexdigest()
+    def _owner(self, index: int, of: str) -> str:
+        return f"{self.fingerprint} {index} {of}"
+
+
+def count_chunks(folder: str | Path) -> int:
+    """Number of finished chunks in a folder, 0 where there is none."""
+    return len(list(Path(folder).glob("chunk-*.npz")))
 
 
 def require_study(folder: str | Path, study: dict[str, Any], description: Mapping[str, str] | None = None) -> None:

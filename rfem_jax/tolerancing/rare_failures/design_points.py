@@ -26,11 +26,12 @@ from jaxtyping import Bool, Float
 
 from rfem_jax.compilation.program import Program
 from rfem_jax.tolerancing.optimisation.starting_points import sobol_units, spread_points
-from rfem_jax.tolerancing.problems.evaluation import evaluate_points
+from rfem_jax.tolerancing.problems.evaluation import evaluate_points, run_in_chunks
 from rfem_jax.tolerancing.problems.linearisation import linearise_points
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.reproduction import require_reproduced
+from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
 
 RADIUS = 2.0  # of the sphere on which searches start
@@ -88,11 +89,13 @@ class NormalSpace:
 
     def errors(self, w: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
         """Errors (n, k) [rad, m] of points w (n, k)."""
-        return np.asarray(_errors(self.tolerances, jnp.asarray(w))[0])
+        return run_in_chunks(lambda rows: _errors(self.tolerances, rows)[:1], self.batch, w, of=None)[0]
 
-    def values(self, w: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n m"]:
+    def values(self, w: Float[np.ndarray, "n k"], progress: ProgressOption = False) -> Float[np.ndarray, "n m"]:
         """Metrics (n, m) at points w (n, k); NaN where a sample failed."""
-        return evaluate_points(self.problem, self.tolerances.names, {}, self.errors(w), self.batch)[0]
+        names = self.tolerances.names
+        with ProgressBar(progress, len(w)) as bar:
+            return evaluate_points(self.problem, names, {}, self.errors(w), self.batch, bar.advance)[0]
 
     def require_reproduced(self) -> None:
         """Raise InputError for derivatives through impacts that a finer step does not reproduce."""

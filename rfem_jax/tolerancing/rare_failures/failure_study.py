@@ -25,7 +25,7 @@ from rfem_jax.tolerancing.checks import check_known, read_limits
 from rfem_jax.tolerancing.problems.linearisation import choose_mode
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances, distributions_of
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
-from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption
+from rfem_jax.tolerancing.progress import ProgressOption
 from rfem_jax.tolerancing.rare_failures.design_points import (
     DesignPoints,
     LimitState,
@@ -150,7 +150,7 @@ def sample_limits(
             for one, at, rows in zip(subsets, points, failing, strict=True)
         ]
         samples = draw_samples(
-            mixture_of(groups, n * 2**turn, k), states, lambda w: _evaluate(space, w, progress), generator, k
+            mixture_of(groups, n * 2**turn, k), states, lambda w: space.values(w, progress), generator, k
         )
         used += len(samples.w)
         findings = [
@@ -182,15 +182,6 @@ def _limit_states(problem: ToleranceProblem, limits: Mapping[str, Any]) -> list[
     if not states:
         raise InputError("Argument `limits` must have at least one finite end, but all are open; give a number.")
     return states
-
-
-def _evaluate(space: NormalSpace, w: np.ndarray, progress: ProgressOption) -> np.ndarray:
-    parts = []
-    with ProgressBar(progress, len(w)) as bar:
-        for first in range(0, len(w), space.batch):
-            parts.append(space.values(w[first : first + space.batch]))
-            bar.advance(len(parts[-1]))
-    return np.concatenate(parts)
 
 
 def _of_limit(space: NormalSpace, state: LimitState, found: DesignPoints, finding: Finding) -> LimitFailure:

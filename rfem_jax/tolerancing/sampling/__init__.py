@@ -3,5 +3,5 @@
 sequences            random and Sobol' points
 statistics           estimates with confidence intervals
 monte_carlo_study    scatter, yield, Sobol' indices; monte_carlo_result: what it found
-study_identity       what a folder of samples belongs to
+sampled_studies      studies of samples, of sweeps too: what identifies them, and how they are run
 """

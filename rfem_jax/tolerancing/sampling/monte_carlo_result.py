@@ -17,8 +17,6 @@ from rfem_jax.tolerancing.labelled_results import LabelledMonteCarlo
 from rfem_jax.tolerancing.layout import show_number
 from rfem_jax.tolerancing.sampling.statistics import ControlledMean, Estimate, SobolIndices
 
-NOT_FINITE = -1  # status of a sample of status 0 with a value that is not finite
-
 
 @dataclass(frozen=True)
 class MetricStatistics:

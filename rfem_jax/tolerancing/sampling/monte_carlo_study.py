@@ -1,7 +1,7 @@
 """Monte Carlo study: the scatter of all metrics that given tolerances cause.
 
-Place in the pipeline: problem + tolerances -> samples (`execution`) -> statistics. Failed samples are counted by cause
-and enter no statistic.
+Place in the pipeline: problem + tolerances -> samples (`sampled_studies`) -> statistics. Failed samples are counted by
+cause and enter no statistic.
 
 Samples are computed and stored in an order in which a study of n samples is the beginning of every larger one: sample
 after sample, and with Sobol' indices all k + 2 points of a sample together (`sampling` and the results have them in
@@ -30,19 +30,12 @@ from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.settings import whole_number
 from rfem_jax.tolerancing.checks import check_known, read_limits
 from rfem_jax.tolerancing.problems.evaluation import describe_status
-from rfem_jax.tolerancing.problems.execution import Arrays, run_chunks
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances, distributions_of
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel, expand_by_differences
-from rfem_jax.tolerancing.problems.results_store import ResultsStore
-from rfem_jax.tolerancing.problems.sample_values import default_lanes
 from rfem_jax.tolerancing.progress import ProgressOption
-from rfem_jax.tolerancing.sampling.monte_carlo_result import (
-    NOT_FINITE,
-    MetricStatistics,
-    MonteCarloResult,
-    Yield,
-)
+from rfem_jax.tolerancing.sampling.monte_carlo_result import MetricStatistics, MonteCarloResult, Yield
+from rfem_jax.tolerancing.sampling.sampled_studies import NOT_FINITE, SampleStudy, as_int, sample_study
 from rfem_jax.tolerancing.sampling.sequences import RandomKey, design_points, net_of_samples, unit_points
 from rfem_jax.tolerancing.sampling.statistics import (
     ControlledMean,
@@ -55,7 +48,6 @@ from rfem_jax.tolerancing.sampling.statistics import (
     estimate_yield,
     require_confidence,
 )
-from rfem_jax.tolerancing.sampling.study_identity import identify
 
 QUANTILES = (0.01, 0.05, 0.5, 0.95, 0.99)
 
@@ -97,7 +89,7 @@ def monte_carlo(
         progress: True for a bar with rate and remaining time, or a function of (done, total).
         lanes: samples that each device computes at once (None: 16 on a CPU, 4096 elsewhere). Smaller chunks are
             computed together. The last bit of a result may depend on lanes, on nothing else.
-        description: of what the problem is made, {name: text}, kept in the folder for `study_identity.require_folder`.
+        description: of what the problem is made, {name: text}, kept in the folder for `SampleStudy.require_folder`.
     Raises: InputError for unknown names, bad numbers, and a folder of another study; ChunkWriteError (an OSError) when
         the disk is full: finished chunks are kept.
     """
@@ -105,21 +97,25 @@ def monte_carlo(
     tolerances = distributions_of(tolerances)
     _check_tolerances(problem, tolerances)
     assert isinstance(tolerances, Tolerances)
-    batch = whole_number(_as_int(batch), "batch", 1)
-    lanes = default_lanes() if lanes is None else whole_number(_as_int(lanes), "lanes", 1)
+    study = monte_carlo_samples(tolerances, key, batch, lanes, sampling, sobol_indices)
     asked = _read_statistics(problem, limits, quantiles, confidence)
     model = _control_model(control_variate, problem, tolerances)
-    design = _design(key, whole_number(_as_int(n), "n", 1), tolerances, sampling, sobol_indices)
-    store = None
-    if resume is not None:
-        settings = {"batch": batch, "lanes": lanes, "sampling": sampling, "sobol_indices": sobol_indices}
-        store = ResultsStore(resume, identify(problem, tolerances, key, **settings), {"n": design.n}, description)
+    design = _design(key, whole_number(as_int(n), "n", 1), tolerances, sampling, sobol_indices)
     started = time.monotonic()
-    samples, computed = run_chunks(
-        problem, tolerances, design.points, batch=batch, lanes=lanes, store=store, progress=progress
+    samples, computed = study.run(
+        problem, design.points, {"n": design.n}, resume=resume, progress=progress, description=description
     )
     cost = computed, time.monotonic() - started
     return _report(problem, tolerances, design, asked, model, samples, cost)
+
+
+def monte_carlo_samples(
+    tolerances: Tolerances, key: RandomKey, batch: int, lanes: int | None, sampling: str, sobol_indices: bool
+) -> SampleStudy:
+    """The samples of a Monte Carlo study, and its folder; arguments and errors as of `monte_carlo`."""
+    return sample_study(
+        "monte_carlo", tolerances, key, batch=batch, lanes=lanes, sampling=sampling, sobol_indices=sobol_indices
+    )
 
 
 def first_samples(
@@ -131,7 +127,7 @@ def first_samples(
     require_float64()
     tolerances = distributions_of(tolerances)
     assert isinstance(tolerances, Tolerances)
-    points = unit_points(key, whole_number(_as_int(n), "n", 1), len(tolerances.names), sampling)
+    points = unit_points(key, whole_number(as_int(n), "n", 1), len(tolerances.names), sampling)
     return _errors_at(tolerances, jnp.asarray(points))
 
 
@@ -192,16 +188,11 @@ def _read_statistics(problem, limits, quantiles, confidence) -> _Statistics:
     return _Statistics(limits, tuple(quantiles), confidence)
 
 
-def _as_int(value):
-    return int(value) if isinstance(value, np.integer) else value
-
-
 def _report(problem, tolerances, design, asked, model, samples, cost) -> MonteCarloResult:
     """`cost`: chunks computed, seconds."""
     samples = {name: design.in_blocks(array) for name, array in samples.items()}
     metrics, base = tuple(metric.name for metric in problem.metrics), design.samples
-    status = _complete_status(samples)
-    values = np.where((status == 0)[:, None], samples["values"], np.nan)
+    values, status = samples["values"], samples["status"]
     indices, controlled, note = None, None, None
     if design.blocks > 1:
         indices = _estimate_indices(values, metrics, tolerances.factors, design.n, asked.confidence)
@@ -350,12 +341,6 @@ def _control_model(control_variate, problem, tolerances) -> QuadraticModel | Non
         )
     check_known(control_variate.metrics, tuple(metric.name for metric in problem.metrics), "control_variate")
     return control_variate
-
-
-def _complete_status(samples: Arrays) -> Int[np.ndarray, " N"]:
-    """Status with NOT_FINITE for a sample of status 0 whose values are not finite."""
-    finite = np.all(np.isfinite(samples["values"]), axis=1)
-    return np.where((samples["status"] == 0) & ~finite, NOT_FINITE, samples["status"])
 
 
 def _cause(problem, code) -> str:
