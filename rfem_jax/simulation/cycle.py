@@ -27,9 +27,9 @@ from rfem_jax.description.drives.rotations import PrescribedRate
 from rfem_jax.mechanics.laws.point_laws import changing
 from rfem_jax.mechanics.model.model import Model, State, Topology
 from rfem_jax.mechanics.model.with_errors import AssemblyErrors, assembly_errors
-from rfem_jax.mechanics.statics.designs import Design, designed, with_status
+from rfem_jax.mechanics.statics.designs import Design, designed
 from rfem_jax.simulation import integration
-from rfem_jax.simulation.conclusion import Conclusion, run_of
+from rfem_jax.simulation.conclusion import Conclusion, run_of, with_status
 from rfem_jax.simulation.driving import Drive, drive_of_design, require_driven
 from rfem_jax.simulation.records import require_records
 from rfem_jax.simulation.run import Run

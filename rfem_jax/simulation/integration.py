@@ -38,11 +38,11 @@ from rfem_jax.mechanics.model.status import (
 )
 from rfem_jax.mechanics.model.with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
 from rfem_jax.mechanics.statics.assembly import held_angles, moving_equilibrium, static_loads
-from rfem_jax.mechanics.statics.designs import Design, designed, with_status
+from rfem_jax.mechanics.statics.designs import Design, designed
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.balances import checks_of
 from rfem_jax.simulation.batches import like_batched
-from rfem_jax.simulation.conclusion import Conclusion, ball_angles, load_summary, run_of
+from rfem_jax.simulation.conclusion import Conclusion, ball_angles, load_summary, run_of, with_status
 from rfem_jax.simulation.driving import active_drives, all_jumps, all_step_ends, drive_of_design
 from rfem_jax.simulation.equations import Conditions, Trajectory
 from rfem_jax.simulation.observation import Record, energy_at, observe
@@ -298,12 +298,14 @@ def conclude(
     # Since the start: the work of tables over position is known up to a constant.
     energy = dataclasses.replace(record.energy, work=record.energy.work - record.energy.work[0])
     shortest = grid.shortest_step(steps)
+    checks, status = checks_of(model, prepared.actual, prepared.status, carry, record, energy, times[-1], shortest)
     return Conclusion(
         times=times,
         record=record._replace(energy=energy),
         preload=prepared.preload,
         summary=load_summary(model, carry, times[-1]),
-        checks=checks_of(model, prepared.actual, prepared.status, carry, record, energy, times[-1], shortest),
+        checks=checks,
+        status=status,
         contact_changes=carry.contact_changes,
         ball_angles=ball_angles(model, record),
         centre_lines=link_lines(model, prepared.actual, prepared.state.position),

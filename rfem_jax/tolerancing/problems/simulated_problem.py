@@ -265,7 +265,7 @@ class Problem(eqx.Module):
         run = simulate_steps(problem.model, errors, problem.drive, grid, problem.method, steps, **settings)
         forces = jnp.stack([load.force for load in run.loads.values()])
         values = {m.name: jnp.asarray(m(run)) for m in self.metrics}
-        return values, jnp.asarray(run.status), jnp.asarray(run.equation_residual), forces
+        return values, jnp.asarray(run.status), jnp.asarray(run.checks.equation_residual), forces
 
     @property
     def _interval(self) -> float:
@@ -353,7 +353,7 @@ def _known_metric(model: Model, asked: str | Metric) -> Metric:
     if one.function is None:
         raise InputError(
             f"Argument `metrics` must hold metrics with a function of a run, but {one.name!r} has none; write for "
-            f"example Metric({one.name!r}, function=lambda run: run.angle[-1])."
+            f"example Metric({one.name!r}, function=lambda run: run.motion.angle[-1])."
         )
     return one
 
