@@ -1,8 +1,8 @@
 """Picture of the assembled mechanism: centre lines in 3D with deflections exaggerated.
 
 Place in the pipeline: called by `figures`; `joint_symbols` draws joints and forces.
-`run.motion.centre_lines[LINK]` (P, 3) m are the links at the start of the run, `run.motion.nominal_lines[LINK]` (P, 3) m those of the
-perfect, undeformed mechanism; what is drawn is nominal + factor * (assembled - nominal).
+`run.motion.centre_lines[LINK]` (P, 3) m are the links at the start of the run, `run.motion.nominal_lines[LINK]` (P, 3)
+m those of the perfect, undeformed mechanism; what is drawn is nominal + factor * (assembled - nominal).
 """
 
 import math
