@@ -109,7 +109,7 @@ def _extrapolated(histories, ours, pick):
 
 def _positions(ours, histories, later) -> float:
     away = [0.0]
-    for kind, mine in (("angles", ours.angles), ("displacements", ours.displacements)):
+    for kind, mine in (("angles", ours.motion.angles), ("displacements", ours.motion.displacements)):
         for name in getattr(histories[0], kind).keys() & mine.keys():
             theirs = _extrapolated(histories, ours, lambda one, kind=kind, name=name: getattr(one, kind)[name])
             difference = theirs - np.asarray(mine[name])

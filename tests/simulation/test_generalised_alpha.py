@@ -91,11 +91,11 @@ def test_converges_to_runge_kutta_with_order_two(small, soft):
 
 def test_balances_of_a_run(found):
     assert found.status == 0
-    assert found.closure_drift < 1e-8
-    assert found.momentum_balance_error < 1e-11
-    assert found.hinge_moment_error < 1e-4
-    assert found.solution_residual < 1e-2
-    assert found.energy_balance_error < 1e-3  # of the kinetic energy of a start-up
+    assert found.checks.closure_drift < 1e-8
+    assert found.checks.momentum_balance_error < 1e-11
+    assert found.checks.hinge_moment_error < 1e-4
+    assert found.checks.solution_residual < 1e-2
+    assert found.checks.energy_balance_error < 1e-3  # of the kinetic energy of a start-up
 
 
 @pytest.mark.slow
@@ -124,7 +124,7 @@ def test_newton_s_method_stops_at_the_tolerance(small):
         settings = {**small.settings, "method": method, "save_every": 2e-3}
         run = simulate(Simulation(small.model, **settings), assembly_errors(small.model, ERRORS))
         assert int(run.status) == 0
-        assert 1e-4 * tolerance < run.solution_residual <= tolerance
+        assert 1e-4 * tolerance < run.checks.solution_residual <= tolerance
         loads[tolerance] = rms(small.model, run)
     np.testing.assert_allclose(loads[1e-2], loads[1e-8], rtol=0.05)
 
