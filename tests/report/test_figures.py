@@ -254,7 +254,8 @@ def test_a_joint_off_the_axis_of_its_link_is_drawn_where_the_other_link_ends(ter
 
 def test_an_arm_joins_the_axis_and_the_joint(ternary, study, runs):
     mechanism, lines = ternary
-    run = SimpleNamespace(**{**vars(runs["P1"]), "centre_lines": lines, "nominal_lines": lines})
+    motion = SimpleNamespace(**vars(runs["P1"].motion) | {"centre_lines": lines, "nominal_lines": lines})
+    run = SimpleNamespace(**vars(runs["P1"]) | {"motion": motion})
     # This mechanism does not close: no places of its joints.
     figure = assembly_figure(replace(study, mechanism=mechanism, cases=study.cases[:1]), {"P1": run}, {})
     arms = [np.stack(line.get_data_3d(), axis=1) for line in figure.axes[0].lines if line.get_linewidth() == 1.2]

@@ -32,6 +32,25 @@ def test_a_run_knows_what_was_simulated(small, run):
     np.testing.assert_array_equal(run.motion.positions.joints[:, 0], run.motion.angle)
 
 
+def test_former_names_of_what_is_in_groups_work_and_warn(run):
+    """`run.angle` is `run.motion.angle` now, and so on: the former names go with the next version."""
+    former = {
+        "motion": "angle rate drive_moment drives angles displacements ends branch centre_lines nominal_lines positions",
+        "checks": (
+            "energy_balance_error closure_drift closure_drift_angle momentum_balance_error hinge_moment_error "
+            "stabilisation_share solution_residual linear_error equation_residual design_gap"
+        ),
+    }
+    for group, names in former.items():
+        for name in names.split():
+            with pytest.warns(DeprecationWarning, match=f"run.{group}.{name}"):
+                assert getattr(run, name) is getattr(getattr(run, group), name)
+    with pytest.warns(DeprecationWarning, match=r"run\.motion"):
+        assert run.driven_joint.angle_end == run.motion.angle[-1] and run.motion.rate_end == run.motion.rate[-1]
+    with pytest.raises(AttributeError, match="no 'anlge'; it has times, loads"):
+        _ = run.anlge
+
+
 def test_lines_are_those_of_the_run_and_end_where_links_end(small, run, shapes):
     lines = np.split(shapes.points, np.cumsum([2, 4]), axis=1)
     for name, line in zip(small.model.link_names, lines, strict=True):
