@@ -26,9 +26,10 @@ from speed_timing import run_once
 
 from rfem_jax import STATUS, GeneralisedAlpha, Simulation, assemble, assembly_errors, discretise, simulate
 from rfem_jax.mechanics.model.with_errors import AssemblyErrors
-from rfem_jax.simulation.accuracy import rms_loads
-from rfem_jax.simulation.integration import grid_for
+from rfem_jax.simulation.accuracy import loads_of_trials
+from rfem_jax.simulation.integration import grid_for, prepare_batch
 from rfem_jax.simulation.solvers.generalised_alpha import ACCURACY_OF_TOLERANCE
+from rfem_jax.simulation.stepping import Integration
 
 SETTLED = 0.2  # share of the duration that is left out
 ACCURACY = 1e-3  # of RMS loads, for times
@@ -180,7 +181,8 @@ def time_ours(model, errors: AssemblyErrors, case: Case, samples: int, trial: bo
     def loads(count, samples=1):
         scales = jnp.linspace(1.0, 0.2, samples)
         batch = jax.tree.map(lambda x: scales.reshape(-1, *[1] * x.ndim) * x[None], errors)
-        return rms_loads(model, batch, case.drive, grid, method, jnp.asarray(count, jnp.float64))
+        whole = Integration(model, case.drive, grid, method, jnp.asarray(count, jnp.float64))
+        return loads_of_trials(whole, *prepare_batch(whole, batch))
 
     coarse, fine = (np.asarray(loads(n)[0][0]) for n in ((20, 40) if trial else (200, 400)))
     reference = _table(model, fine + (fine - coarse) / 3.0)

@@ -67,7 +67,9 @@ def test_derivatives_of_a_cycle_are_those_of_a_driven_oscillator(model):
     def of_new_cycle(stiffness):
         errors = assembly_errors(model, {"slide.stiffness": stiffness})
         return np.mean(
-            np.asarray(steady_cycle(Simulation(model, **SETTINGS), errors, tolerance=1e-12).run.motion.displacements["P"][:-1])
+            np.asarray(
+                steady_cycle(Simulation(model, **SETTINGS), errors, tolerance=1e-12).run.motion.displacements["P"][:-1]
+            )
             ** 2
         )
 

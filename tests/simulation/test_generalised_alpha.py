@@ -27,7 +27,8 @@ from rfem_jax import (
     simulate,
 )
 from rfem_jax.simulation import integration
-from rfem_jax.simulation.accuracy import estimate_change, rms_loads
+from rfem_jax.simulation.accuracy import estimate_change, loads_of_trials
+from rfem_jax.simulation.stepping import Integration
 from rfem_jax.simulation.time_grid import divide_time
 from rfem_jax.validation.reference_values import read_reference
 from tests.mechanisms import link
@@ -82,7 +83,8 @@ def test_converges_to_runge_kutta_with_order_two(small, soft):
     method = GeneralisedAlpha(step=2e-3, corrections=4)
     grid, _ = integration.grid_for(small.drive, 0.02, method, 2e-3)
     steps = (4.0, 8.0, 16.0, 32.0)
-    loads = [np.asarray(rms_loads(soft, errors, small.drive, grid, method, jnp.asarray(k))[0]) for k in steps]
+    by_steps = [Integration(soft, small.drive, grid, method, jnp.asarray(k)) for k in steps]
+    loads = [np.asarray(loads_of_trials(one, *integration.prepare_batch(one, errors))[0]) for one in by_steps]
     exact = rms(soft, simulate(Simulation(soft, **small.settings), assembly_errors(soft, ERRORS)))
     changes = np.array([np.abs(one[0].T / exact - 1.0).max() for one in loads])
     np.testing.assert_allclose(np.log2(changes[1:-1] / changes[2:]), 2.0, atol=0.3)

@@ -21,7 +21,9 @@ def run(small):
 
 @pytest.fixture(scope="module")
 def shapes(small, run):
-    return jax.tree.map(np.asarray, trace_shapes(small.model, assembly_errors(small.model, ERRORS), run.motion.positions))
+    return jax.tree.map(
+        np.asarray, trace_shapes(small.model, assembly_errors(small.model, ERRORS), run.motion.positions)
+    )
 
 
 def test_a_run_knows_what_was_simulated(small, run):
@@ -35,7 +37,9 @@ def test_a_run_knows_what_was_simulated(small, run):
 def test_former_names_of_what_is_in_groups_work_and_warn(run):
     """`run.angle` is `run.motion.angle` now, and so on: the former names go with the next version."""
     former = {
-        "motion": "angle rate drive_moment drives angles displacements ends branch centre_lines nominal_lines positions",
+        "motion": (
+            "angle rate drive_moment drives angles displacements ends branch centre_lines nominal_lines positions"
+        ),
         "checks": (
             "energy_balance_error closure_drift closure_drift_angle momentum_balance_error hinge_moment_error "
             "stabilisation_share solution_residual linear_error equation_residual design_gap"

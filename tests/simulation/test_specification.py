@@ -12,7 +12,6 @@ from rfem_jax import (
     Automatic,
     GeneralisedAlpha,
     InputError,
-    Mechanism,
     MomentRamp,
     PrescribedRate,
     Problem,
@@ -30,7 +29,7 @@ from rfem_jax import (
 )
 from rfem_jax.simulation.accuracy import choose_method
 from tests.description.conftest import _refused as refused
-from tests.mechanisms import four_bar, three_link_loop
+from tests.mechanisms import four_bar
 from tests.programs.conftest import PENDULUM
 
 METHOD = GeneralisedAlpha(step=1e-3)

@@ -193,7 +193,9 @@ class TestWhatIsHeld:
         np.testing.assert_allclose(run.motion.angles["S"][0], start[-3:], rtol=0, atol=1e-12)
         if kind == "free":
             np.testing.assert_allclose(run.loads["S"].force, 0.0, atol=1e-12)
-            np.testing.assert_allclose(run.motion.displacements["S"][-1], [0.1, 0.2, 0.3 - 0.5 * 9.81 * 4e-6], atol=1e-9)
+            np.testing.assert_allclose(
+                run.motion.displacements["S"][-1], [0.1, 0.2, 0.3 - 0.5 * 9.81 * 4e-6], atol=1e-9
+            )
 
     @pytest.mark.long
     def test_an_idle_rod_is_held_with_the_rest(self):
@@ -381,7 +383,9 @@ def ends(model, names, numbers):
             Simulation(model, drive=None, duration=1e-3, method=IMPLICIT, save_every=1e-3, design=wanted), errors
         )
         loads = [run.loads[name].force[-1] for name in model.joint_names]
-        return jnp.concatenate([*loads, run.preload["D"].moment, jnp.stack([run.motion.angles[name][-1] for name in "ABD"])])
+        return jnp.concatenate(
+            [*loads, run.preload["D"].moment, jnp.stack([run.motion.angles[name][-1] for name in "ABD"])]
+        )
 
     return function
 

@@ -270,7 +270,9 @@ class TestArm:
             run = simulate(
                 Simulation(Arm.model(), drive=drives, duration=0.02, save_every=5e-3, method=RungeKutta4(step=1e-3))
             )
-            return jnp.stack([run.motion.displacements["P"][-1], run.metrics.mean_square_moment["R"], run.energy.work[-1]])
+            return jnp.stack(
+                [run.motion.displacements["P"][-1], run.metrics.mean_square_moment["R"], run.energy.work[-1]]
+            )
 
         at = jnp.asarray([3.0, 20.0])
         forward, backward = jax.jacfwd(end)(at), jax.jacrev(end)(at)

@@ -191,7 +191,9 @@ class TestInclinedGuide:
         force = self.COEFFICIENT * normal
         acceleration = 9.81 * np.sin(self.SLOPE) - force / (self.MASS + 1e-10)
         along = self.START * run.times + 0.5 * acceleration * run.times**2
-        found, derivative = ((x.motion.displacements["F"][:, 0] if cut else x.motion.displacements["G"]) for x in (run, change))
+        found, derivative = (
+            (x.motion.displacements["F"][:, 0] if cut else x.motion.displacements["G"]) for x in (run, change)
+        )
         np.testing.assert_allclose(found, along, rtol=1e-7, atol=1e-12)
         by_coefficient = -0.5 * normal / (self.MASS + 1e-10) * run.times**2
         np.testing.assert_allclose(derivative, by_coefficient, rtol=1e-6, atol=1e-12)

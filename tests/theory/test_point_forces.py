@@ -157,7 +157,9 @@ class TestTwoBlocks:
         assert float(run.checks.solution_residual) < 1e-3
         moved = 0.5 * 3.0 / (2 * MASS) * np.asarray(run.times) ** 2
         np.testing.assert_allclose(run.motion.displacements["Gone"], moved, rtol=0, atol=1e-6)
-        np.testing.assert_allclose(run.motion.displacements["Gtwo"] - run.motion.displacements["Gone"], 0.2, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(
+            run.motion.displacements["Gtwo"] - run.motion.displacements["Gone"], 0.2, rtol=0, atol=1e-6
+        )
         # A damped step after the jump of the force at the start, the rod carries what the first block needs.
         along = run.forces["rod"].force[-1]
         np.testing.assert_allclose(along[0], -1.5, rtol=1e-3)

@@ -326,5 +326,6 @@ register_metric(
 )  # fmt: skip
 register_metric(
     "linear_error", "", lambda run: run.checks.linear_error, label="estimated error of linear elements",
-    nonnegative=True, description="estimated, relative to the deflections of the link that is worst; it has no derivatives",
+    nonnegative=True,
+    description="estimated, relative to the deflections of the link that is worst; it has no derivatives",
 )  # fmt: skip
