@@ -1,16 +1,21 @@
-"""diffrax's own loop over steps against ours: tracing, compilation, time of a sample, memory.
+"""Which loop over steps: ours within one kernel, one of JAX around kernels of a step, or `diffrax.diffeqsolve`.
 
-    python benchmarks/diffrax_loop.py METHOD LOOP MODE BATCH [--share 1] [--rfes 5] [--study FILE]
+    python benchmarks/diffrax_loop.py [--methods generalised_alpha rk4] [--batches 1 16 64] [--derivatives]
 
-METHOD: generalised_alpha, rk4; LOOP: own, which is a kernel, or `diffeqsolve` in every interval of the time grid with
-the adjoint forward, direct or checkpoint, which XLA compiles around kernels of right-hand sides; MODE: value, forward
-(three errors), reverse (one metric).  Main study; one process a row, since the programs are large.  `--share` simulates
-a share of the duration.
+The same solver and the same steps in all of them, on the main study's mechanism with errors in joint D, from its
+static start; seconds of the processor until the first result, and microseconds of a sample's step in batches, medians
+of five runs. `--derivatives`: of the values and their derivatives by three errors in forward mode.
 """
 
 import argparse
+import os
+import statistics
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, ClassVar
+
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
 
 import jax
 
@@ -20,108 +25,134 @@ import diffrax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 
 from rfem_jax import GeneralisedAlpha, RungeKutta4, assembly_errors, discretise, load_study  # noqa: E402
+from rfem_jax.kernels import kernel  # noqa: E402
+from rfem_jax.mechanics.model.with_errors import with_structural_zeros  # noqa: E402
 from rfem_jax.simulation import integration, stepping  # noqa: E402
+from rfem_jax.simulation.equations import Conditions  # noqa: E402
 
-STUDY = Path(__file__).parents[1] / "studies" / "four_bar" / "study.toml"
-KINDS = ("delta_x", "delta_z", "d_y")  # of the last joint
-ADJOINTS = {
-    "forward": diffrax.ForwardMode, "direct": diffrax.DirectAdjoint,
-    "checkpoint": diffrax.RecursiveCheckpointAdjoint,
-}  # fmt: skip
-
-
-def by_diffeqsolve(adjoint: str):
-    """One interval, in the place of `stepping._fixed`.
-
-    An interval of length zero takes one step by itself, where diffrax would take none.
-    """
-
-    def integrate(solver, carry, schedule, conditions, tolerance=None):
-        del tolerance  # of contacts, which these mechanisms do not have
-        start, step, _, _ = schedule.step(jnp.zeros(()))
-        steps = schedule.number
-        length = step * steps
-        terms, y = diffrax.ODETerm(stepping.vector_field), (carry.trajectory, carry.peaks)
-        memory = solver.resume(terms, start, start + length, y, conditions, carry.memory)
-        moving = length > 0.0
-
-        def step_of_length_zero():
-            found, _, _, after, _ = solver.step(terms, start, start, y, conditions, memory, False)
-            return found, after
-
-        def move():
-            h = jnp.where(moving, length / steps, 1.0)
-            solution = diffrax.diffeqsolve(
-                terms, solver, start, start + jnp.where(moving, length, 1.0), h, y, conditions,
-                saveat=diffrax.SaveAt(t1=True, solver_state=True), solver_state=memory,
-                adjoint=ADJOINTS[adjoint](), max_steps=steps + 2, throw=False,
-            )  # fmt: skip
-            return jax.tree.map(lambda x: x[-1], solution.ys), solution.solver_state
-
-        (trajectory, peaks), memory = jax.lax.cond(moving, move, step_of_length_zero)
-        memory = None if carry.memory is None else memory
-        return carry._replace(trajectory=trajectory, peaks=peaks, memory=memory)
-
-    return integrate
+STUDY = load_study(Path(__file__).parents[1] / "studies" / "four_bar" / "study.toml")
+METHODS = {"generalised_alpha": GeneralisedAlpha(step=1e-3, tolerance=1e-3), "rk4": RungeKutta4(step=1e-5)}
+STEPS = {"generalised_alpha": 200, "rk4": 2000}
+ERRORS = ("D.delta_x", "D.delta_z", "D.d_y")
+REPEATS = 5
 
 
-def loads(options):
-    """Three errors -> mean squares of the joint loads."""
-    study = load_study(options.study)
-    model = discretise(study.mechanism, rfes=options.rfes)
-    names = [f"{max(model.joint_names)}.{kind}" for kind in KINDS]
-    if options.method == "rk4":
-        chosen, duration = RungeKutta4(step=1e-5), options.share * (0.12 if options.mode == "value" else 0.02)
-    else:
-        chosen, duration = GeneralisedAlpha(step=2.5e-3, tolerance=1e-3), options.share * 0.5
-    grid, steps = integration.grid_for(study.drive, duration, chosen, duration / 20)
+class StepByKernel(diffrax.AbstractSolver):
+    """A solver of ours whose step is a kernel, for diffrax's loop."""
+
+    inner: Any
+    term_structure: ClassVar = diffrax.AbstractTerm
+    interpolation_cls: ClassVar[Callable] = diffrax.LocalLinearInterpolation
+
+    def order(self, terms):
+        return self.inner.order(terms)
+
+    def init(self, terms, t0, t1, y0, args):
+        return self.inner.init(terms, t0, t1, y0, args)
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        del made_jump
+        y1, after = step_kernel(self.inner, terms)(t0, t1, y0, args, solver_state)
+        return y1, None, {"y0": y0, "y1": y1}, after, diffrax.RESULTS.successful
+
+    def func(self, terms, t0, y0, args):
+        return terms.vf(t0, y0, args)
+
+
+def step_kernel(solver, terms) -> Callable:
+    """(t0, t1, state, conditions, memory) -> (state, memory) as one kernel."""
+
+    def step(t0, t1, y, conditions, memory):
+        y, _, _, memory, _ = solver.step(terms, t0, t1, y, conditions, memory, jnp.asarray(False))
+        return y, memory
+
+    return kernel(step, name="step")
+
+
+def by_one_kernel(solver, terms, y, conditions, memory, h, steps):
+    def loop(y, conditions, memory):
+        def step(state, i):
+            y, memory = state
+            y, _, _, memory, _ = solver.step(terms, h * i, h * (i + 1.0), y, conditions, memory, jnp.asarray(False))
+            return (y, memory), None
+
+        return jax.lax.scan(step, (y, memory), jnp.arange(steps, dtype=jnp.float64))[0]
+
+    return kernel(loop, name="steps")(y, conditions, memory)[0]
+
+
+def by_scan(solver, terms, y, conditions, memory, h, steps):
+    one = step_kernel(solver, terms)
+
+    def step(state, i):
+        return one(h * i, h * (i + 1.0), state[0], conditions, state[1]), None
+
+    return jax.lax.scan(step, (y, memory), jnp.arange(steps, dtype=jnp.float64))[0][0]
+
+
+def by_diffeqsolve(solver, terms, y, conditions, memory, h, steps):
+    solution = diffrax.diffeqsolve(
+        terms, StepByKernel(solver), 0.0, h * steps, h, y, conditions, solver_state=memory,
+        adjoint=diffrax.ForwardMode(), max_steps=steps + 2, throw=False,
+    )  # fmt: skip
+    return jax.tree.map(lambda x: x[-1], solution.ys)
+
+
+LOOPS = {"one kernel": by_one_kernel, "lax.scan": by_scan, "diffeqsolve": by_diffeqsolve}
+
+
+def loads(name: str, loop: Callable) -> Callable:
+    """Three errors (3,) -> integrals of squared joint loads."""
+    model, method, steps = discretise(STUDY.mechanism), METHODS[name], STEPS[name]
+    grid, _ = integration.grid_for(STUDY.drive, method.step * steps, method, method.step * steps)
+    whole = stepping.Integration(model, STUDY.drive, grid, method, steps)
+    terms = diffrax.ODETerm(stepping.vector_field)
 
     def function(point):
-        errors = assembly_errors(model, dict(zip(names, point)))
-        prepared = integration.prepare(model, errors, study.drive, None)
-        carry = integration.start_carry(model, prepared, study.drive, chosen)
-        carry, _ = integration.advance(model, prepared.actual, study.drive, carry, grid, chosen, steps, None)
-        metrics = integration.metrics_of(model, carry, duration)
-        return jnp.stack([*metrics.mean_square_force.values(), *metrics.mean_square_moment.values()])
+        prepared = integration.prepare(model, assembly_errors(model, dict(zip(ERRORS, point))), STUDY.drive, None)
+        carry = integration.start_carry(whole, prepared)
+        actual = with_structural_zeros(prepared.actual)
+        operators = whole.operators(prepared.actual)
+        last = None if operators is None else jax.tree.map(lambda x: x[-1], operators)
+        phase = jnp.asarray(0, jnp.int32)
+        conditions = Conditions(actual, whole.drives, phase, whole.stabilisation, operators=last)
+        y, zero = (carry.trajectory, carry.peaks), jnp.zeros(())
+        memory = whole.solver.resume(terms, zero, zero + method.step, y, conditions, carry.memory)
+        trajectory, _ = loop(whole.solver, terms, y, conditions, memory, method.step, steps)
+        return jnp.concatenate([trajectory.integrals.normal_square, trajectory.integrals.moment_square])
 
     return function
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("method", choices=("generalised_alpha", "rk4"))
-    parser.add_argument("loop", choices=("own", *ADJOINTS))
-    parser.add_argument("mode", choices=("value", "forward", "reverse"))
-    parser.add_argument("batch", type=int)
-    parser.add_argument("--share", type=float, default=1.0, help="of the duration that is simulated")
-    parser.add_argument("--rfes", type=int, default=5, help="of a flexible link")
-    parser.add_argument("--study", type=Path, default=STUDY, help="file; the main study by default")
+    parser.add_argument("--methods", nargs="+", choices=tuple(METHODS), default=list(METHODS))
+    parser.add_argument("--batches", type=int, nargs="+", default=[1, 16, 64])
+    parser.add_argument("--derivatives", action="store_true")
     options = parser.parse_args()
-    if options.loop != "own":
-        stepping._fixed = by_diffeqsolve(options.loop)
-        integration.kernel = lambda function, **settings: function  # these loops have no machine code
-    function = loads(options)
-    if options.mode == "forward":
-        function = jax.jacfwd(function)
-    if options.mode == "reverse":
-        function = jax.grad(lambda point, values=function: values(point)[0])
-    points = jnp.linspace(0.5, 1.5, options.batch)[:, None] * jnp.asarray([2e-3, 1.5e-3, 5e-4])
-    times = [time.process_time()]
-    traced = jax.jit(jax.vmap(function)).trace(points)
-    times.append(time.process_time())
-    compiled = traced.lower().compile()
-    times.append(time.process_time())
-    runs = []
-    for _ in range(6):
-        start = time.process_time()
-        jax.block_until_ready(compiled(points))
-        runs.append(time.process_time() - start)
-    memory = compiled.memory_analysis().temp_size_in_bytes / 1e6 / options.batch
-    print(
-        f"{options.method}, {options.loop}, {options.mode}, batch {options.batch}: tracing "
-        f"{times[1] - times[0]:.1f} s, compilation {times[2] - times[1]:.1f} s, "
-        f"{1e3 * min(runs) / options.batch:.2f} ms and {memory:.2f} MB a sample"
-    )
+    print(f"| method, loop | first result s | us a step in batches of {', '.join(map(str, options.batches))} |")
+    print("|---|---|---|")
+    for name in options.methods:
+        for label, loop in LOOPS.items():
+            function = loads(name, loop)
+            if options.derivatives:
+                plain = function
+
+                def function(point, plain=plain):
+                    value, push = jax.linearize(plain, point)
+                    return value, jax.vmap(push)(jnp.eye(3))
+
+            batched, first, each = jax.jit(jax.vmap(function)), None, []
+            for batch in options.batches:
+                points = jnp.asarray([4e-3, 2e-3, 2e-4]) * jnp.linspace(1.0, 0.2, batch)[:, None]
+                times = []
+                for _ in range(REPEATS + 1):
+                    started = time.process_time()
+                    jax.block_until_ready(batched(points))
+                    times.append(time.process_time() - started)
+                first = times[0] if first is None else first
+                each.append(1e6 * statistics.median(times[1:]) / batch / STEPS[name])
+            print(f"| {name}, {label} | {first:.2g} | {', '.join(f'{one:.3g}' for one in each)} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -84,7 +84,7 @@ def compare_open_chain(report, trial: bool = False) -> None:
         settings = Settings(nodes="rotation_vector")
         h = run(link, drive, duration, step, settings, start=start).histories
         at = np.searchsorted(h.times, np.asarray(ours.times) - 0.1 * step)
-        values = {"angle of Q, rad": np.abs(h.angle[at] - np.asarray(ours.angle)).max()}
+        values = {"angle of Q, rad": np.abs(h.angle[at] - np.asarray(ours.motion.angle)).max()}
         for joint in "PQR":
             for kind in ("force", "moment"):
                 mine = np.asarray(getattr(ours.loads[joint], kind))

@@ -26,9 +26,10 @@ from speed_timing import run_once
 
 from rfem_jax import STATUS, GeneralisedAlpha, Simulation, assemble, assembly_errors, discretise, simulate
 from rfem_jax.mechanics.model.with_errors import AssemblyErrors
-from rfem_jax.simulation.accuracy import loads_of_trials, prepare_trials
-from rfem_jax.simulation.integration import grid_for
+from rfem_jax.simulation.accuracy import loads_of_trials
+from rfem_jax.simulation.integration import grid_for, prepare_batch
 from rfem_jax.simulation.solvers.generalised_alpha import ACCURACY_OF_TOLERANCE
+from rfem_jax.simulation.stepping import Integration
 
 SETTLED = 0.2  # share of the duration that is left out
 ACCURACY = 1e-3  # of RMS loads, for times
@@ -109,7 +110,7 @@ def _extrapolated(histories, ours, pick):
 
 def _positions(ours, histories, later) -> float:
     away = [0.0]
-    for kind, mine in (("angles", ours.angles), ("displacements", ours.displacements)):
+    for kind, mine in (("angles", ours.motion.angles), ("displacements", ours.motion.displacements)):
         for name in getattr(histories[0], kind).keys() & mine.keys():
             theirs = _extrapolated(histories, ours, lambda one, kind=kind, name=name: getattr(one, kind)[name])
             difference = theirs - np.asarray(mine[name])
@@ -180,8 +181,8 @@ def time_ours(model, errors: AssemblyErrors, case: Case, samples: int, trial: bo
     def loads(count, samples=1):
         scales = jnp.linspace(1.0, 0.2, samples)
         batch = jax.tree.map(lambda x: scales.reshape(-1, *[1] * x.ndim) * x[None], errors)
-        prepared, carry = prepare_trials(model, batch, case.drive, method)
-        return loads_of_trials(model, prepared, case.drive, carry, grid, method, jnp.asarray(count, jnp.float64))
+        whole = Integration(model, case.drive, grid, method, jnp.asarray(count, jnp.float64))
+        return loads_of_trials(whole, *prepare_batch(whole, batch))
 
     coarse, fine = (np.asarray(loads(n)[0][0]) for n in ((20, 40) if trial else (200, 400)))
     reference = _table(model, fine + (fine - coarse) / 3.0)

@@ -29,8 +29,9 @@ import numpy as np  # noqa: E402
 from jax import Array  # noqa: E402
 
 from rfem_jax import GeneralisedAlpha, Method, Simulation, assembly_errors, load_study, simulate  # noqa: E402
-from rfem_jax.simulation.accuracy import loads_of_trials, prepare_trials  # noqa: E402
-from rfem_jax.simulation.integration import grid_for  # noqa: E402
+from rfem_jax.simulation.accuracy import loads_of_trials  # noqa: E402
+from rfem_jax.simulation.integration import grid_for, prepare_batch  # noqa: E402
+from rfem_jax.simulation.stepping import Integration  # noqa: E402
 
 STUDY = load_study(Path(__file__).parents[1] / "studies" / "four_bar" / "study.toml")
 INTERVAL = 25e-3  # s between observations: they cost little
@@ -130,8 +131,8 @@ def stepping(model, case: str, count: int, method: Method, duration=STUDY.durati
 
     def loads(steps: int):
         count = jnp.asarray(steps, jnp.float64)
-        prepared, carry = prepare_trials(model, errors, STUDY.drive, method)
-        found, residual, *_ = loads_of_trials(model, prepared, STUDY.drive, carry, grid, method, count)
+        whole = Integration(model, STUDY.drive, grid, method, count)
+        found, residual, *_ = loads_of_trials(whole, *prepare_batch(whole, errors))
         return found, jnp.max(residual)
 
     return loads

@@ -48,7 +48,7 @@ class DriveQuantity:
     @property
     def values(self) -> Callable[[Run], Any]:
         """Reads the history of a run."""
-        return lambda run: np.asarray(getattr(run.drives[self.label], self.part))
+        return lambda run: np.asarray(getattr(run.motion.drives[self.label], self.part))
 
 
 def has_driven_joint(study: Study) -> bool:

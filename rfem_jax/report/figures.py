@@ -215,7 +215,9 @@ def _motion_figures(study: Study, runs: Mapping[str, Run]) -> dict[str, Figure]:
     ]
     for joint in outputs[:MOST_BASE_JOINTS]:
         what, unit = ("angle", "rad") if KINDS[joint.kind].angles else ("displacement", "m")
-        values = _histories(study, runs, lambda run, joint=joint, what=what: getattr(run, f"{what}s")[joint.name])
+        values = _histories(
+            study, runs, lambda run, joint=joint, what=what: getattr(run.motion, f"{what}s")[joint.name]
+        )
         heading = f"{what.capitalize()} of joint {joint.name} ({joint.child})"
         figures[f"{what}_{joint.name}"] = history_figure(study, values, heading, f"{what}, {unit}")
     return figures
@@ -234,8 +236,8 @@ def _drive_figures(study: Study, runs: Mapping[str, Run]) -> dict[str, Figure]:
         }
     joint = study.drives[0].joint
     of_joint = f"of joint {joint} ({study.mechanism.joint(joint).child})"
-    angles = _histories(study, runs, lambda run: run.angle)
-    rates = _histories(study, runs, lambda run: run.rate)
+    angles = _histories(study, runs, lambda run: run.motion.angle)
+    rates = _histories(study, runs, lambda run: run.motion.rate)
     return {
         "angle": history_figure(study, angles, f"Angle {of_joint}", "angle, rad"),
         "rate": history_figure(study, rates, f"Rate {of_joint}", "rate, rad/s"),

@@ -80,7 +80,7 @@ def history_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " tim
             for axis, letter in enumerate("xyz"):
                 columns[column_name(f"{name}_{load}_{letter}", unit)] = values[:, axis]
     if not driven:
-        columns[column_name("drive_moment", "N m")] = np.asarray(run.drive_moment)
+        columns[column_name("drive_moment", "N m")] = np.asarray(run.motion.drive_moment)
     columns |= {column_name(one.name, one.quantity.unit): one.values(run) for one in driven}
     losses = {column_name(f"{name}_dissipation", "J"): np.asarray(x) for name, x in run.friction_losses.items()}
     losses |= {column_name(f"{joint}_contact_loss", "J"): np.asarray(x) for joint, x in run.contact_losses.items()}
@@ -91,11 +91,11 @@ def history_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " tim
 
 def _first_angle(study: Study, run: Run) -> dict[str, Float[np.ndarray, " times"]]:
     """Angle and rate of the first drive, unless it is one on a translation; of the run where nothing is driven."""
-    angle, rate = run.angle, run.rate
+    angle, rate = run.motion.angle, run.motion.rate
     if drive_quantities(study):
         if not study.drive_motions[0].startswith("R"):
             return {}
-        first = run.drives[study.drive_labels[0]]
+        first = run.motion.drives[study.drive_labels[0]]
         angle, rate = first.position, first.rate
     return {column_name("angle", "rad"): np.asarray(angle), column_name("rate", "rad/s"): np.asarray(rate)}
 
@@ -136,7 +136,10 @@ def _coordinate_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, "
     for joint in study.mechanism.joints:
         if joint.cut or (joint.name == first and KINDS[joint.kind].motions == ("R_y",)):
             continue
-        for what, unit, values in (("angle", "rad", run.angles), ("displacement", "m", run.displacements)):
+        for what, unit, values in (
+            ("angle", "rad", run.motion.angles),
+            ("displacement", "m", run.motion.displacements),
+        ):
             several = np.asarray(values[joint.name]) if joint.name in values else np.zeros((0, 0))
             if several.ndim == 1:
                 columns[column_name(f"{joint.name}_{what}", unit)] = several

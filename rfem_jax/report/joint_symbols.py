@@ -69,7 +69,7 @@ def guide_ends(joint: Joint, seat: Seat, runs: Mapping[str, Run], size: float) -
     for number, axis in enumerate(sliding):
         travel = [np.ravel(start[axis])]
         for run in runs.values():
-            values = np.asarray(run.displacements.get(joint.name, np.zeros(0)))
+            values = np.asarray(run.motion.displacements.get(joint.name, np.zeros(0)))
             travel.append(values if values.ndim == 1 else values[:, number])
         travel = np.concatenate(travel)
         travel = travel[np.isfinite(travel)]

@@ -1,8 +1,8 @@
 """Picture of the assembled mechanism: centre lines in 3D with deflections exaggerated.
 
 Place in the pipeline: called by `figures`; `joint_symbols` draws joints and forces.
-`run.centre_lines[LINK]` (P, 3) m are the links at the start of the run, `run.nominal_lines[LINK]` (P, 3) m those of the
-perfect, undeformed mechanism; what is drawn is nominal + factor * (assembled - nominal).
+`run.motion.centre_lines[LINK]` (P, 3) m are the links at the start of the run, `run.motion.nominal_lines[LINK]` (P, 3)
+m those of the perfect, undeformed mechanism; what is drawn is nominal + factor * (assembled - nominal).
 """
 
 import math
@@ -52,8 +52,10 @@ def round_factor(value: float) -> float:
 
 def largest_deflection(run: Run) -> float:
     """Largest distance of an assembled from its nominal point, m (NaN for a failed run)."""
-    lines = run.nominal_lines
-    return max(float(np.linalg.norm(np.asarray(run.centre_lines[link]) - lines[link], axis=1).max()) for link in lines)
+    lines = run.motion.nominal_lines
+    return max(
+        float(np.linalg.norm(np.asarray(run.motion.centre_lines[link]) - lines[link], axis=1).max()) for link in lines
+    )
 
 
 def exaggeration(runs: Mapping[str, Run]) -> float:
@@ -61,7 +63,7 @@ def exaggeration(runs: Mapping[str, Run]) -> float:
     deflections = [largest_deflection(run) for run in runs.values()]
     deflection = max((value for value in deflections if math.isfinite(value)), default=0.0)
     first = next(iter(runs.values()))
-    points = np.concatenate([np.asarray(line) for line in first.nominal_lines.values()])
+    points = np.concatenate([np.asarray(line) for line in first.motion.nominal_lines.values()])
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
     # Below a millionth of the size there is nothing to see but rounding.
     return round_factor(_SHARE * size / deflection) if deflection > 1e-6 * size else 1.0
@@ -70,9 +72,9 @@ def exaggeration(runs: Mapping[str, Run]) -> float:
 def exaggerated_lines(run: Run, factor: float) -> dict[str, Line]:
     """Centre lines of one run with deflections times `factor`, {link: (P, 3) m}."""
     lines = {}
-    for link, nominal in run.nominal_lines.items():
+    for link, nominal in run.motion.nominal_lines.items():
         nominal = np.asarray(nominal)
-        lines[link] = nominal + factor * (np.asarray(run.centre_lines[link]) - nominal)
+        lines[link] = nominal + factor * (np.asarray(run.motion.centre_lines[link]) - nominal)
     return lines
 
 
@@ -117,7 +119,7 @@ def joint_point(mechanism: Mechanism, joint: Joint, lines: Mapping[str, Line], n
 
 def _limits(runs: Mapping[str, Run], factor: float, guides: Guides) -> tuple[Point, Point]:
     """Lower and upper corner (3,) of a box around all that is drawn, no side too thin."""
-    points = [np.asarray(line) for run in runs.values() for line in run.nominal_lines.values()]
+    points = [np.asarray(line) for run in runs.values() for line in run.motion.nominal_lines.values()]
     points += [line for run in runs.values() for line in exaggerated_lines(run, factor).values()]
     points += [np.stack(ends) for lines in guides.values() for ends in lines]
     points = np.concatenate(points)
@@ -137,7 +139,7 @@ def _draw_mechanism(
     lines = exaggerated_lines(run, factor)
     colours = {link: CASE_COLOURS[(index + 1) % len(CASE_COLOURS)] for index, link in enumerate(lines)}
     _draw_links(axes, run, lines, colours)
-    nominal = {link: np.asarray(line) for link, line in run.nominal_lines.items()}
+    nominal = {link: np.asarray(line) for link, line in run.motion.nominal_lines.items()}
     size = mechanism_size(nominal)
     points: dict[str, Point] = {}
     # Sliders first, so that a pin in one of them is seen.
@@ -159,7 +161,7 @@ def _draw_mechanism(
         """Where a point of a link is drawn: as far from its centre line as it is, but that line exaggerated."""
         if link == "base":
             return place
-        assembled = np.asarray(run.centre_lines[link])
+        assembled = np.asarray(run.motion.centre_lines[link])
         return place + point_on_line(lines[link], nominal[link], x) - point_on_line(assembled, nominal[link], x)
 
     draw_forces(axes, mechanism, run, size, drawn)
@@ -169,7 +171,7 @@ def _draw_mechanism(
 
 def _draw_links(axes: Axes3D, run: Run, lines: Mapping[str, Line], colours: Mapping[str, str]) -> None:
     for index, link in enumerate(lines):
-        nominal = np.asarray(run.nominal_lines[link])
+        nominal = np.asarray(run.motion.nominal_lines[link])
         label = "perfect mechanism" if index == 0 else None
         axes.plot(*nominal.T, color="#808080", linestyle=":", linewidth=1.2, label=label)
         style = LINE_STYLES[index % len(LINE_STYLES)]
@@ -233,7 +235,7 @@ def assembly_figure(study: Study, runs: Mapping[str, Run], places: Mapping[str, 
     shown = {name: runs[name] for name in runs if name in kept}
     factor = exaggeration(shown)
     first = next(iter(shown.values()))
-    size = mechanism_size({link: np.asarray(line) for link, line in first.nominal_lines.items()})
+    size = mechanism_size({link: np.asarray(line) for link, line in first.motion.nominal_lines.items()})
     joints = [joint for joint in study.mechanism.joints if joint.name in places]
     guides = {joint.name: guide_ends(joint, places[joint.name], shown, size) for joint in joints}
     low, high = _limits(shown, factor, guides)

@@ -70,7 +70,7 @@ def summarise_run(study: Study, run: Run) -> dict[str, Any]:
         joints[name] = row
     driven = _driven_joints(study, run)
     ends = {q.name: driven[0].get(q.name, math.nan) if driven else math.nan for q in DRIVEN_JOINT}
-    balances = {q.name: float(getattr(run, q.name)) for q in CHECKS}
+    balances = {q.name: float(getattr(run.checks, q.name)) for q in CHECKS}
     losses = {name: float(np.asarray(values)[-1]) for name, values in run.friction_losses.items()}
     friction = {FRICTION_LOSS.name: losses} if losses else {}
     summary = {"joints": joints, "driven_joint": ends, "driven_joints": driven, **friction, **balances}
@@ -103,9 +103,9 @@ def _driven_joints(study: Study, run: Run) -> list[dict[str, Any]]:
     found = []
     for one, label, motion in zip(study.drives, study.drive_labels, study.drive_motions, strict=True):
         if has_driven_joint(study):
-            position, rate = run.driven_joint.angle_end, run.driven_joint.rate_end
+            position, rate = run.motion.angle_end, run.motion.rate_end
         else:
-            position, rate = (np.asarray(getattr(run.drives[label], part))[-1] for part in ("position", "rate"))
+            position, rate = (np.asarray(getattr(run.motion.drives[label], part))[-1] for part in ("position", "rate"))
         names = ("angle_end", "rate_end") if motion.startswith("R") else (POSITION_END.name, "speed_end")
         ends = zip(names, (position, rate), strict=True)
         found.append({"joint": one.joint, "motion": motion, **{name: float(value) for name, value in ends}})
@@ -133,7 +133,7 @@ def branches(run: Run) -> dict[str, dict[str, int]]:
     Runs whose branches differ are not to be averaged, nor differentiated across.
     """
     found = {}
-    for name, modes in run.branch.items():
+    for name, modes in run.motion.branch.items():
         modes = np.asarray(modes)
         modes = modes[np.isfinite(modes)]
         if len(modes):

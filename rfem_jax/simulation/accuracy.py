@@ -35,7 +35,7 @@ from rfem_jax.simulation.remarks import REMARKABLE_BALANCE
 from rfem_jax.simulation.sampled_laws import steps_that_see
 from rfem_jax.simulation.solvers.generalised_alpha import ACCURACY_OF_TOLERANCE
 from rfem_jax.simulation.stability import largest_stable_step, round_down
-from rfem_jax.simulation.stepping import Carry
+from rfem_jax.simulation.stepping import Carry, Integration
 from rfem_jax.simulation.time_grid import ROUNDING, TimeGrid
 
 TRIAL_INTERVALS = 50
@@ -115,10 +115,11 @@ def _longest_step(model, method: Method, drive, duration, accuracy, errors) -> f
     method, grid = _trial_grid(model, method, drive, duration)
     interval = duration / TRIAL_INTERVALS
     first = _first_steps(model, drive, grid, interval)
-    prepared, carry = prepare_trials(model, errors, drive, method)
+    whole = Integration(model, drive, grid, method, jnp.asarray(1.0))
+    prepared, carry = integration.prepare_batch(whole, errors)
 
     def loads(steps):
-        found = loads_of_trials(model, prepared, drive, carry, *_trial(grid, steps, interval, method))
+        found = loads_of_trials(_trial(whole, steps, interval), prepared, carry)
         loads, residual, energy, assembled = map(np.asarray, found)
         # Trial errors that rigid links cannot be assembled with say nothing about the step.
         used = assembled if assembled.any() else np.ones_like(assembled)
@@ -162,11 +163,11 @@ def _trial_grid(model: Model, method: Method, drive: Drive, duration: float) -> 
     return method, integration.grid_for(drive, duration, method, interval, model)[0]
 
 
-def _trial(grid: TimeGrid, steps: int, interval: float, method: Method) -> tuple[TimeGrid, Method, Float[Array, ""]]:
-    """Grid, method and number of steps of a trial, whose steps are half as long as with half the number everywhere."""
-    grid = grid.with_steps_per_row(steps // FIRST)
+def _trial(whole: Integration, steps: int, interval: float) -> Integration:
+    """The integration by a number of steps, which are half as long as with half the number everywhere."""
+    grid = whole.grid.with_steps_per_row(steps // FIRST)
     share = 1.0 if grid.parts is None else float(grid.distinct.max()) / interval
-    return grid, method, jnp.asarray(share * steps, jnp.float64)  # traced: one program for all steps
+    return replace(whole, grid=grid, steps=jnp.asarray(share * steps, jnp.float64))  # traced: one program for all steps
 
 
 def _steps_per_row(model: Model, method: Method, drive: Drive, duration: float, step: float) -> int | None:
@@ -185,11 +186,12 @@ def _explicit_step(model, method: Method, drive, duration, accuracy, errors) -> 
     length, steps = float(np.max(np.asarray(model.length))), int(np.ceil(interval / method.step * (1.0 - ROUNDING)))
     grid, _ = integration.grid_for(drive, duration, method, interval, model)
     share = 1.0 if grid.parts is None else float(grid.distinct.max()) / interval
-    prepared, carry = prepare_trials(model, errors, drive, method)
+    whole = Integration(model, drive, grid.of_any_step(), method, jnp.asarray(1.0))
+    prepared, carry = integration.prepare_batch(whole, errors)
 
     def loads(steps):
-        count = jnp.asarray(share * steps, jnp.float64)
-        found = loads_of_trials(model, prepared, drive, carry, grid.of_any_step(), method, count)
+        trial = replace(whole, steps=jnp.asarray(share * steps, jnp.float64))
+        found = loads_of_trials(trial, prepared, carry)
         loads, _, energy, assembled = map(np.asarray, found)
         used = assembled if assembled.any() else np.ones_like(assembled)
         return loads[used], energy[used].max()
@@ -251,41 +253,20 @@ def trial_errors(model: Model) -> AssemblyErrors:
 
 
 @functools.partial(Program, nameless=True)
-def prepare_trials(model: Model, errors: AssemblyErrors, drive: Drive, method: Method) -> tuple[Prepared, Carry]:
-    """The static starts of several assemblies, which no number of steps changes."""
-
-    def one(errors):
-        prepared = integration.prepare(model, errors, drive, None)
-        return prepared, integration.start_carry(model, prepared, drive, method)
-
-    return jax.vmap(jax.jit(one))(errors)
-
-
-@functools.partial(Program, nameless=True)
 def loads_of_trials(
-    model: Model,
-    prepared: Prepared,
-    drive: Drive,
-    carry: Carry,
-    grid: TimeGrid,
-    method: Method,
-    steps: Float[Array, ""],
+    trial: Integration, prepared: Prepared, carry: Carry
 ) -> tuple[Float[Array, "cases 2 joints"], Float[Array, " cases"], Float[Array, " cases"], Bool[Array, " cases"]]:
-    """RMS forces [N] and moments [N m] of several assemblies from what `prepare_trials` gives, by the implicit method
-    with a number of steps in every interval that may be traced.
+    """RMS forces [N] and moments [N m] of several assemblies, from what `prepare_batch` gives.
 
     **Returns:** the loads; the largest residual over the largest joint force; the error of the energy balance; whether
     the mechanism was assembled.
     """
-
-    def one(prepared, carry):
-        return _loads_of(model, prepared, drive, carry, grid, method, steps)
-
-    return jax.vmap(jax.jit(one))(prepared, carry)
+    return jax.vmap(jax.jit(lambda prepared, carry: _loads_of(trial, prepared, carry)))(prepared, carry)
 
 
-def _loads_of(model, prepared: Prepared, drive, carry: Carry, grid, method: Method, steps):
-    carry, energy = integration.advance_unobserved(model, prepared.actual, drive, carry, grid, method, steps)
+def _loads_of(trial: Integration, prepared: Prepared, carry: Carry):
+    model, grid = trial.model, trial.grid
+    carry, energy = integration.advance_unobserved(trial, prepared.actual, carry)
     rms = load_summary(model, carry, grid.starts[-1] + grid.lengths[-1]).rms[:, joint_places(model)]
     largest = balances.largest_force(carry)
     if model.friction is not None:

@@ -6,8 +6,6 @@ Errors of the energy balance and of the balance of joint loads against the rate 
 exchanged and carried (theory, part 11); a run that is off by more than `remarks.BALANCE_LIMIT` is not accepted.
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
@@ -29,7 +27,7 @@ from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.observation import Record
 from rfem_jax.simulation.remarks import BALANCE_LIMIT
-from rfem_jax.simulation.run import RESIDUAL_LIMIT, Energy
+from rfem_jax.simulation.run import RESIDUAL_LIMIT, Checks, Energy
 from rfem_jax.simulation.stepping import Carry
 
 DRIFT_LIMIT = 1e-6
@@ -46,26 +44,26 @@ def checks_of(
     energy: Energy,
     duration: Float[Array, ""],
     shortest: Float[Array, ""],
-) -> dict[str, Any]:
-    """The fields of a `Run` that say whether it is to be trusted, and its status; `assembled`: that of the assembly;
+) -> tuple[Checks, Int[Array, ""]]:
+    """The checks that say whether a run is to be trusted, and its status; `assembled`: that of the assembly;
     `duration` [s]; `shortest` [s]: step."""
     drift = jnp.max(record.drift)
     largest = force_scale(model, actual, carry, energy, duration, shortest)
     error, (momentum, moment) = balance_error(model, energy, largest), momentum_error(model, record, largest)
     residual = carry.residual / safe_divisor(largest)
-    return {
-        "energy_balance_error": error,
-        "closure_drift": drift,
-        "closure_drift_angle": jnp.max(record.drift_angle),
-        "momentum_balance_error": momentum,
-        "hinge_moment_error": jnp.max(record.hinge_residual) / safe_divisor(moment),
-        "stabilisation_share": jnp.max(record.stabilising) / safe_divisor(jnp.max(record.multiplier)),
-        "solution_residual": residual,
-        "linear_error": linear_error(record.linear),
-        "status": status_of_run(
-            model, assembled, carry, (error, momentum), drift, jnp.max(record.range_used), residual
-        ),
-    }
+    checks = Checks(
+        energy_balance_error=error,
+        closure_drift=drift,
+        closure_drift_angle=jnp.max(record.drift_angle),
+        momentum_balance_error=momentum,
+        hinge_moment_error=jnp.max(record.hinge_residual) / safe_divisor(moment),
+        stabilisation_share=jnp.max(record.stabilising) / safe_divisor(jnp.max(record.multiplier)),
+        solution_residual=residual,
+        linear_error=linear_error(record.linear),
+        equation_residual=record.residual,
+    )
+    used = jnp.max(record.range_used)
+    return checks, status_of_run(model, assembled, carry, (error, momentum), drift, used, residual)
 
 
 def status_of_run(

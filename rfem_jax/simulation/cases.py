@@ -30,6 +30,7 @@ from rfem_jax.simulation.records import require_records
 from rfem_jax.simulation.run import Run, of_model, one_of
 from rfem_jax.simulation.simulating import simulate
 from rfem_jax.simulation.specification import Simulation
+from rfem_jax.simulation.stepping import Integration
 from rfem_jax.simulation.time_grid import TimeGrid, of_any_step
 from rfem_jax.simulation.unfinished import Unfinished
 
@@ -89,10 +90,11 @@ def run_cases(
         return model, Runs({case.name: one_of(runs, i) for i, case in enumerate(study.cases)})
     unfinished = Unfinished(keep, (model, errors, drive, study.duration, method, study.save_every))
     method, grid, steps = of_any_step(method, grid, steps)
-    prepared, carry = _prepare(model, errors, drive, method)
+    whole = Integration(model, drive, grid, method, steps)
+    prepared, carry = integration.prepare_batch(whole, errors)
     try:
-        carry, ends = _advance_all(model, prepared, study, carry, grid, method, steps, unfinished, progress)
-        conclusions = _conclude(model, prepared, drive, carry, ends, grid, method, steps, asked)
+        carry, ends = _advance_all(whole, prepared, carry, unfinished, progress)
+        conclusions = _conclude(whole, prepared, carry, ends, asked)
         conclusions = jax.tree.map(np.asarray, conclusions)
     except KeyboardInterrupt:
         unfinished.write()
@@ -122,21 +124,21 @@ def _run_with_parameters(
     return jax.tree.map(np.asarray, jax.vmap(lambda one: simulate(simulation, one, record=asked))(errors))
 
 
-def _advance_all(model, prepared, study: Study, carry, grid: TimeGrid, method, steps, unfinished: Unfinished, progress):
+def _advance_all(whole: Integration, prepared, carry, unfinished: Unfinished, progress):
     """The integrator's state at the end, and what it has recorded at the saved times; from where `unfinished` says."""
-    pieces = list(_pieces(grid))
+    pieces, duration = list(_pieces(whole.grid)), float((whole.grid.starts + whole.grid.lengths)[-1])
     first, carry, parts = unfinished.restore(carry)
     tree = None
     for number, piece in enumerate(pieces[first:], first + 1):
-        carry, reached = _advance(model, prepared.actual, study.designed_drive, carry, piece, method, steps)
+        carry, reached = _advance(dataclasses.replace(whole, grid=piece), prepared.actual, carry)
         leaves, tree = jax.tree.flatten(jax.tree.map(np.asarray, reached))
         parts.append(leaves)
         if number < len(pieces):  # the last piece gives the tree of all, and is computed again
             unfinished.reach(number, carry, parts)
         if progress is not None:
-            progress(float((piece.starts + piece.lengths)[-1] / study.duration))
+            progress(float((piece.starts + piece.lengths)[-1]) / duration)
     assert tree is not None
-    count = len(grid.starts)
+    count = len(whole.grid.starts)
     ends = [np.concatenate(leaves, axis=1)[:, :count] for leaves in zip(*parts, strict=True)]
     return carry, jax.tree.unflatten(tree, ends)
 
@@ -150,25 +152,13 @@ def _pieces(grid: TimeGrid):
 
 
 @functools.partial(Program, nameless=True)
-def _prepare(model, errors, drive, method):
-    def one(errors):
-        prepared = integration.prepare(model, errors, drive, None)
-        return prepared, integration.start_carry(model, prepared, drive, method)
-
-    return jax.vmap(jax.jit(one))(errors)
+def _advance(whole, actual, carry):
+    return jax.vmap(jax.jit(lambda actual, carry: integration.advance(whole, actual, carry)))(actual, carry)
 
 
 @functools.partial(Program, nameless=True)
-def _advance(model, actual, drive, carry, grid, method, steps):
-    def one(actual, carry):
-        return integration.advance(model, actual, drive, carry, grid, method, steps, None)
-
-    return jax.vmap(jax.jit(one))(actual, carry)
-
-
-@functools.partial(Program, nameless=True)
-def _conclude(model, prepared, drive, carry, ends, grid, method, steps, asked):
+def _conclude(whole, prepared, carry, ends, asked):
     def one(prepared, carry, ends):
-        return integration.conclude(model, prepared, drive, carry, ends, grid, method, steps, asked)
+        return integration.conclude(whole, prepared, carry, ends, asked)
 
     return jax.vmap(jax.jit(one))(prepared, carry, ends)

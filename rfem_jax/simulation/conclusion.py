@@ -5,6 +5,7 @@ Place in the pipeline: records, carry -> **conclusion** -> Run.
 The arrays are what is compiled; giving each joint its own is no computation, and is done outside of programs.
 """
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -13,16 +14,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.model.model import Coordinates, Model
 from rfem_jax.mechanics.model.orientations import angles_of
 from rfem_jax.mechanics.statics.assembly import Load, named
+from rfem_jax.mechanics.statics.designs import Designed, status_of
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.equations import Numbers, Scalar
 from rfem_jax.simulation.observation import Record
-from rfem_jax.simulation.run import DriveHistory, DrivenJoint, LoadIntegrals, Loads, Metrics, Run
+from rfem_jax.simulation.run import Checks, DriveHistory, LoadIntegrals, Loads, Metrics, Motion, Run
 from rfem_jax.simulation.stepping import Carry
 
 
@@ -39,7 +41,7 @@ class LoadSummary(NamedTuple):
 class Conclusion(NamedTuple):
     """What a simulation ends with.
 
-    record: at the saved `times` [s]; checks: fields of `Run` by their names; ball_angles: rotation vectors (times, 3)
+    record: at the saved `times` [s]; ball_angles: rotation vectors (times, 3)
     [rad] of tree joints that turn about any axis, by link; the others as fields of `Run`.
     """
 
@@ -47,7 +49,8 @@ class Conclusion(NamedTuple):
     record: Record
     preload: loads.JointLoads
     summary: LoadSummary
-    checks: dict[str, Any]
+    checks: Checks
+    status: Int[Numbers, ""]
     contact_changes: Float[Numbers, ""] | None
     ball_angles: dict[int, Float[Numbers, "times 3"]]
     centre_lines: Mapping[str, Float[Numbers, "points 3"]]
@@ -93,38 +96,36 @@ def _named_results(model: Model, conclusion: Conclusion) -> Run:
     drives = _histories(model, record)
     nothing = DriveHistory(0.0 * times, 0.0 * times, record.drive_forces[0])
     first = next(iter(drives.values()), nothing)
-    return Run(
-        times=times,
+    motion = Motion(
         angle=first.position,
         rate=first.rate,
         drive_moment=first.force,
         drives=drives,
         angles=_coordinates(model, conclusion, rotation=True),
         displacements=_coordinates(model, conclusion, rotation=False),
-        loads=Loads(
-            {
-                name: Load(*(part[..., j] for part in record.loads))
-                for name, j in zip(model.joint_names, joint_places(model))
-            }
-        ),
-        preload=named(model, conclusion.preload),
-        energy=record.energy,
-        metrics=_metrics(model, conclusion.summary),
-        driven_joint=DrivenJoint(first.position[..., -1], first.rate[..., -1]),
-        equation_residual=record.residual,
         ends={name: record.ends[..., l] for l, name in enumerate(model.link_names)},
+        branch={topology.joints[j]: record.branch[..., i] for i, j in enumerate(topology.cuts)},
+        centre_lines=dict(conclusion.centre_lines),
+        nominal_lines=dict(conclusion.nominal_lines),
+        positions=conclusion.positions,
+    )
+    places = zip(model.joint_names, joint_places(model))
+    return Run(
+        times=times,
+        loads=Loads({name: Load(*(part[..., j] for part in record.loads)) for name, j in places}),
+        preload=named(model, conclusion.preload),
+        metrics=_metrics(model, conclusion.summary),
+        motion=motion,
+        energy=record.energy,
+        checks=conclusion.checks,
+        status=conclusion.status,
+        integrals=LoadIntegrals(*(_joint_values(model, record.square_integrals[..., kind, :]) for kind in range(2))),
         forces=record.forces,
+        friction_losses=_friction_histories(model, record.friction_losses),
         contacts=record.contacts,
         contact_losses=_clearance_histories(model, record.contact_losses),
         contact_changes=conclusion.contact_changes,
-        branch={topology.joints[j]: record.branch[..., i] for i, j in enumerate(topology.cuts)},
-        integrals=LoadIntegrals(*(_joint_values(model, record.square_integrals[..., kind, :]) for kind in range(2))),
-        centre_lines=dict(conclusion.centre_lines),
-        nominal_lines=dict(conclusion.nominal_lines),
-        friction_losses=_friction_histories(model, record.friction_losses),
         recorded=conclusion.recorded,
-        positions=conclusion.positions,
-        **conclusion.checks,
     )
 
 
@@ -190,3 +191,11 @@ def _joint_values(model: Model, values: Float[Numbers, "*axes joints"]) -> dict[
 def joint_places(model: Model) -> np.ndarray:
     """Places of the joints along the axes of joints, in the order of the description."""
     return np.array([model.topology.joints.index(name) for name in model.joint_names])
+
+
+def with_status(run: Run, made: Designed) -> Run:
+    """The run of a design that may not be possible, which its status then says."""
+    if made.status is None:
+        return run
+    checks = dataclasses.replace(run.checks, design_gap=made.gap)
+    return dataclasses.replace(run, status=status_of(jnp.asarray(run.status), made), checks=checks)

@@ -9,6 +9,7 @@ the slow ones.
 """
 
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -27,14 +28,14 @@ from rfem_jax.description.drives.rotations import PrescribedRate
 from rfem_jax.mechanics.laws.point_laws import changing
 from rfem_jax.mechanics.model.model import Model, State, Topology
 from rfem_jax.mechanics.model.with_errors import AssemblyErrors, assembly_errors
-from rfem_jax.mechanics.statics.designs import Design, designed, with_status
+from rfem_jax.mechanics.statics.designs import Design, designed
 from rfem_jax.simulation import integration
-from rfem_jax.simulation.conclusion import Conclusion, run_of
+from rfem_jax.simulation.conclusion import Conclusion, run_of, with_status
 from rfem_jax.simulation.driving import Drive, drive_of_design, require_driven
 from rfem_jax.simulation.records import require_records
 from rfem_jax.simulation.run import Run
 from rfem_jax.simulation.specification import Simulation, simulation_of_call
-from rfem_jax.simulation.time_grid import TimeGrid
+from rfem_jax.simulation.stepping import Integration
 
 RANK = 1e-9  # of what a revolution leaves of changes of its start
 MEMORY = 6  # revolutions that the next start is made of
@@ -82,12 +83,12 @@ def steady_cycle(
     errors = assembly_errors(model) if errors is None else errors
     made = designed(model, design, errors)
     model, errors = made.model, errors if made.errors is None else made.errors
-    asked = require_records(model, record)
-    state, conclusion = _revolution(model, errors, drive, grid, None, method, steps, asked)
+    asked, revolution = require_records(model, record), Integration(model, drive, grid, method, steps)
+    state, conclusion = _revolution(revolution, errors, None, asked)
     start, found = state, []
     residual, done = np.inf, 1
     while done < most:
-        state, conclusion = _revolution(model, errors, drive, grid, start, method, steps, asked)
+        state, conclusion = _revolution(revolution, errors, start, asked)
         done += 1
         before = _numbers(start)
         after = _numbers(_turned_back(model.topology, start, state))
@@ -124,25 +125,26 @@ def cycle_run(
     made = designed(model, design, assembly_errors(model) if errors is None else errors)
     assert made.errors is not None, "errors were given"
     asked = require_records(model, record)
-    conclusion = _periodic(made.model, made.errors, drive, grid, cycle.start, method, steps, asked)
+    conclusion = _periodic(Integration(made.model, drive, grid, method, steps), made.errors, cycle.start, asked)
     return with_status(run_of(made.model, conclusion), made)
 
 
 @partial(Program, nameless=True)
-def _periodic(model, errors, drive, grid: TimeGrid, start: State, method, steps, asked) -> Conclusion:
+def _periodic(revolution: Integration, errors, start: State, asked) -> Conclusion:
     numbers, unravel = ravel_pytree(jax.lax.stop_gradient(start))
 
     def end_of(numbers, model, errors):
-        state = _revolution(model, errors, drive, grid, unravel(numbers), method, steps, asked)[0]
+        state = _revolution(replace(revolution, model=model), errors, unravel(numbers), asked)[0]
         return ravel_pytree(state)[0]
 
+    model = revolution.model
     fixed = jax.lax.stop_gradient((model, errors))
     _, push = jax.linearize(lambda x: end_of(x, *fixed), numbers)
     kept = jnp.eye(numbers.shape[0]) - jax.vmap(push, out_axes=1)(jnp.eye(numbers.shape[0]))
     end = end_of(numbers, model, errors)
     # Where a revolution changes nothing, as of the driven angle, the start stays: the solution of least norm.
     change = jnp.linalg.pinv(kept, rtol=RANK) @ (end - jax.lax.stop_gradient(end))
-    return _revolution(model, errors, drive, grid, unravel(numbers + change), method, steps, asked)[1]
+    return _revolution(revolution, errors, unravel(numbers + change), asked)[1]
 
 
 def _with_period(model: Model, drive: PrescribedRate, design: Design | None) -> tuple[PrescribedRate, float]:
@@ -194,13 +196,9 @@ def require_constant_rate(model: Model, drive: Drive) -> PrescribedRate:
 
 
 @partial(Program, nameless=True)
-def _revolution(
-    model, errors, drive, grid: TimeGrid, start: State | None, method, steps, asked
-) -> tuple[State, Conclusion]:
-    prepared = integration.prepare(model, errors, drive, start)
-    carry = integration.start_carry(model, prepared, drive, method)
-    carry, ends = integration.advance(model, prepared.actual, drive, carry, grid, method, steps, None)
-    conclusion = integration.conclude(model, prepared, drive, carry, ends, grid, method, steps, asked)
+def _revolution(revolution: Integration, errors, start: State | None, asked) -> tuple[State, Conclusion]:
+    prepared, carry, ends = integration.integrated(revolution, errors, start)
+    conclusion = integration.conclude(revolution, prepared, carry, ends, asked)
     return State(carry.trajectory.position, carry.trajectory.velocity), conclusion
 
 

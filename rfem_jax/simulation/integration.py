@@ -38,20 +38,18 @@ from rfem_jax.mechanics.model.status import (
 )
 from rfem_jax.mechanics.model.with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
 from rfem_jax.mechanics.statics.assembly import held_angles, moving_equilibrium, static_loads
-from rfem_jax.mechanics.statics.designs import Design, designed, with_status
+from rfem_jax.mechanics.statics.designs import Design, designed
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.balances import checks_of
 from rfem_jax.simulation.batches import with_batch_axes
-from rfem_jax.simulation.conclusion import Conclusion, ball_angles, load_summary, run_of
+from rfem_jax.simulation.conclusion import Conclusion, ball_angles, load_summary, run_of, with_status
 from rfem_jax.simulation.driving import active_drives, all_jumps, all_step_ends, drive_of_design
 from rfem_jax.simulation.equations import Conditions, Trajectory
 from rfem_jax.simulation.observation import Record, energy_at, observe
 from rfem_jax.simulation.records import finished_records, instant_records, require_records
 from rfem_jax.simulation.run import Energy, Run, of_model
-from rfem_jax.simulation.solvers.catalogue import observed_solver
 from rfem_jax.simulation.solvers.implicit_step import Memory
-from rfem_jax.simulation.stabilisation import stabilisation_of
-from rfem_jax.simulation.stepping import Carry, Intervals, entries_of, last_step, repeated
+from rfem_jax.simulation.stepping import Carry, Integration, entries_of, last_step, repeated
 from rfem_jax.simulation.time_grid import TimeGrid, divide_time, longest_interval, of_any_step
 
 
@@ -90,7 +88,8 @@ def simulate_steps(
     asked = require_records(made.model, record)
     if not any(isinstance(x, Tracer) for x in jax.tree.leaves((made, drive, start))):
         method, grid, steps = of_any_step(method, grid, steps)  # one program for all steps; none of reverse mode
-    conclusion = _simulate(made.model, made.errors, drive, grid, start, method, steps, adjoint, asked)
+    integration = Integration(made.model, drive, grid, method, steps)
+    conclusion = _simulate(integration, made.errors, start, adjoint, asked)
     run = run_of(made.model, conclusion)
     return with_status(of_model(run, made.model, errors if made.errors is None else made.errors), made)
 
@@ -117,25 +116,20 @@ def grid_for(
 
 
 @partial(Program, nameless=True)
-def _simulate(model, errors, drive, grid, start, method, steps, adjoint, record):
-    prepared, carry, ends = integrated(model, errors, drive, grid, start, method, steps, adjoint)
-    return conclude(model, prepared, drive, carry, ends, grid, method, steps, record)
+def _simulate(integration, errors, start, adjoint, record):
+    return conclude(integration, *integrated(integration, errors, start, adjoint), record)
 
 
 def integrated(
-    model: Model,
+    integration: Integration,
     errors: AssemblyErrors,
-    drive: Drive,
-    grid: TimeGrid,
-    start: State | None,
-    method: Method,
-    steps: int | Float[Array, ""],
-    adjoint: diffrax.AbstractAdjoint | None,
+    start: State | None = None,
+    adjoint: diffrax.AbstractAdjoint | None = None,
 ) -> tuple[Prepared, Carry, IntervalEnd]:
     """A simulation before its conclusion."""
-    prepared = prepare(model, errors, drive, start)
-    carry = start_carry(model, prepared, drive, method)
-    return prepared, *advance(model, prepared.actual, drive, carry, grid, method, steps, adjoint)
+    prepared = prepare(integration.model, errors, integration.drive, start)
+    carry = start_carry(integration, prepared)
+    return prepared, *advance(integration, prepared.actual, carry, adjoint)
 
 
 @partial(kernel, name="assembly", in_parts=True)
@@ -159,15 +153,14 @@ def prepare(model: Model, errors: AssemblyErrors, drive: Drive, start: State | N
         return Prepared(actual, state, static_loads(model, actual, resting, multipliers), status)
 
 
-def start_carry(model: Model, prepared: Prepared, drive: Drive, method: Method) -> Carry:
+def start_carry(integration: Integration, prepared: Prepared) -> Carry:
     """The state of the integration before the first interval."""
-    joints = prepared.preload.force.shape[1]
+    model, joints = integration.model, prepared.preload.force.shape[1]
     frictions, clearances = len(model.friction or {}), len(model.topology.clearances)
     trajectory = equations.start_trajectory(prepared.state, joints, frictions, clearances)
-    drives = active_drives(model, drive)
-    phase, stabilisation = jnp.asarray(0, jnp.int32), stabilisation_of(model, method)
-    conditions = Conditions(prepared.actual, drives, phase, stabilisation)
-    peaks, memory = jnp.zeros((4, joints)), observed_solver(method).start(conditions, trajectory)
+    phase = jnp.asarray(0, jnp.int32)
+    conditions = Conditions(prepared.actual, integration.drives, phase, integration.stabilisation)
+    peaks, memory = jnp.zeros((4, joints)), integration.solver.start(conditions, trajectory)
     # The batch axes of all that goes around, and tangents of all that a step gives tangents to.
     sources = [x for x in jax.tree.leaves(prepared.state) if x.size]
     exhausted, last_step = with_batch_axes((jnp.zeros((), bool), jnp.asarray(1e-7)), *sources)
@@ -175,28 +168,35 @@ def start_carry(model: Model, prepared: Prepared, drive: Drive, method: Method) 
     return Carry(trajectory, peaks, exhausted, last_step, memory)
 
 
+@partial(Program, nameless=True)
+def prepare_batch(integration: Integration, errors: AssemblyErrors) -> tuple[Prepared, Carry]:
+    """Assembled mechanisms with a batch of errors, and the integrator's states at their starts."""
+
+    def one(errors):
+        prepared = prepare(integration.model, errors, integration.drive, None)
+        return prepared, start_carry(integration, prepared)
+
+    return jax.vmap(jax.jit(one))(errors)
+
+
 def advance(
-    model: Model,
+    integration: Integration,
     actual: ModelWithErrors,
-    drive: Drive,
     carry: Carry,
-    grid: TimeGrid,
-    method: Method,
-    steps: int | Float[Array, ""],
-    adjoint: diffrax.AbstractAdjoint | None,
+    adjoint: diffrax.AbstractAdjoint | None = None,
 ) -> tuple[Carry, IntervalEnd]:
-    """Integrate over the intervals of a grid, each in a number of steps (fixed-step methods), which may be traced as in
-    `advance_unobserved`.
+    """Integrate over all intervals; `adjoint`: of adaptive methods.
 
     **Returns:** the carry at the end, and the ends of all intervals, whose arrays have a first axis of intervals.
+
+    **Raises:** `InputError` for a method that cannot integrate the model.
     """
-    operators = Intervals(model, drive, grid, method, steps, adjoint).operators(actual)
+    integration.require_supported()
+    operators = integration.operators(actual)
 
-    def interval_of(model, actual, drive, grid, steps, operators):
-        intervals = Intervals(model, drive, grid, method, steps, adjoint)
-
+    def interval_of(integration, actual, operators):
         def interval(carry, entry):
-            carry = intervals.over(actual, operators, carry, entry)
+            carry = integration.over(actual, operators, carry, entry, adjoint)
             return carry, IntervalEnd(carry.trajectory, carry.memory)
 
         return interval
@@ -210,100 +210,82 @@ def advance(
     def adaptively(carry, entries, *others):
         return jax.lax.scan(repeated(interval_of(*others)), carry, entries)
 
-    advanced = adaptively if method.adaptive else kernel(in_one_loop, name="steps", reverse=by_intervals)
-    return advanced(carry, entries_of(grid), model, actual, drive, grid, steps, operators)
+    fixed = kernel(in_one_loop, name="steps", reverse=by_intervals)
+    advanced = adaptively if integration.method.adaptive else fixed
+    return advanced(carry, entries_of(integration.grid), integration, actual, operators)
 
 
-def advance_unobserved(
-    model: Model,
-    actual: ModelWithErrors,
-    drive: Drive,
-    carry: Carry,
-    grid: TimeGrid,
-    method: Method,
-    steps: int | Float[Array, ""],
-) -> tuple[Carry, Energy]:
-    """Integrate without records but the energies at the ends of the intervals; `steps`, in an interval, may be traced
-    with an implicit method (then not in reverse mode)."""
-    operators = Intervals(model, drive, grid, method, steps, None).operators(actual)
+def advance_unobserved(integration: Integration, actual: ModelWithErrors, carry: Carry) -> tuple[Carry, Energy]:
+    """Integrate without records but the energies at the ends of the intervals.
 
-    def in_one_loop(carry, entries, model, actual, drive, grid, steps, operators):
-        intervals = Intervals(model, drive, grid, method, steps, None)
+    **Raises:** `InputError` as `advance`.
+    """
+    integration.require_supported()
+    operators = integration.operators(actual)
 
+    def in_one_loop(carry, entries, integration, actual, operators):
         def interval(carry, entry):
-            carry = intervals.over(actual, operators, carry, entry)
+            carry = integration.over(actual, operators, carry, entry)
             state, integrals = State(carry.trajectory.position, carry.trajectory.velocity), carry.trajectory.integrals
             return carry, energy_at(actual, state, integrals.work, integrals.dissipation)
 
         return jax.lax.scan(interval, carry, entries)
 
-    advanced = in_one_loop if method.adaptive else kernel(in_one_loop, name="steps")
-    return advanced(carry, entries_of(grid), model, actual, drive, grid, steps, operators)
+    advanced = in_one_loop if integration.method.adaptive else kernel(in_one_loop, name="steps")
+    return advanced(carry, entries_of(integration.grid), integration, actual, operators)
 
 
 def observe_ends(
-    model: Model,
-    actual: ModelWithErrors,
-    drive: Drive,
-    ends: IntervalEnd,
-    grid: TimeGrid,
-    method: Method,
-    steps: int | Float[Array, ""],
-    asked: Sequence[str] = (),
+    integration: Integration, actual: ModelWithErrors, ends: IntervalEnd, asked: Sequence[str] = ()
 ) -> Record:
     """Records of the ends of intervals, with a first axis of intervals; `asked`: names as in `simulation.records`."""
-    solver = observed_solver(method)
 
-    def record_of(model, actual, drive, grid, steps):
-        drives, stabilisation = active_drives(model, drive), stabilisation_of(model, method)
+    def record_of(integration, actual):
+        solver, drives, stabilisation = integration.solver, integration.drives, integration.stabilisation
 
         def record(entry, end):
             here = actual
             if end.memory is not None and end.memory.contacts is not None:
                 here = with_memory(actual, end.memory.contacts)
             conditions = Conditions(here, drives, entry.phase, stabilisation)
-            t, h = entry.start + entry.length, last_step(grid, entry, steps)
+            t, h = entry.start + entry.length, last_step(integration.grid, entry, integration.steps)
             squares, state, now, instant = solver.instant(t, h, end.trajectory, end.memory, conditions)
             seen = observe(here, state, now, end.trajectory.integrals, instant, squares)
-            return seen._replace(asked=instant_records(model, actual, state, instant, asked)) if asked else seen
+            if not asked:
+                return seen
+            return seen._replace(asked=instant_records(integration.model, actual, state, instant, asked))
 
         return kernel(record, name="record")
 
     def in_one_loop(entries, ends, *others):
         return jax.lax.map(lambda both: record_of(*others)(*both), (entries, ends))
 
-    return kernel(in_one_loop, name="records", reverse=in_one_loop)(
-        entries_of(grid), ends, model, actual, drive, grid, steps
-    )
+    observed = kernel(in_one_loop, name="records", reverse=in_one_loop)
+    return observed(entries_of(integration.grid), ends, integration, actual)
 
 
 @partial(kernel, name="conclusion", in_parts=True)
 def conclude(
-    model: Model,
-    prepared: Prepared,
-    drive: Drive,
-    carry: Carry,
-    ends: IntervalEnd,
-    grid: TimeGrid,
-    method: Method,
-    steps: int | Float[Array, ""],
-    asked: Sequence[str] = (),
+    integration: Integration, prepared: Prepared, carry: Carry, ends: IntervalEnd, asked: Sequence[str] = ()
 ) -> Conclusion:
     """Loads, metrics, balances and status from the last carry and all ends of intervals; `asked`: as `observe_ends`."""
-    record = observe_ends(model, prepared.actual, drive, ends, grid, method, steps, asked)
+    model, grid = integration.model, integration.grid
+    record = observe_ends(integration, prepared.actual, ends, asked)
     # The maxima are taken at the starts of steps: the last instant is still missing.
     carry = carry._replace(peaks=jnp.maximum(carry.peaks, jnp.max(record.squares, axis=0)))
     record, positions = jax.tree.map(lambda x: rows(x, grid.saved), (record, ends.trajectory.position))
     times = rows(jnp.asarray(grid.starts + grid.lengths), grid.saved)
     # Since the start: the work of tables over position is known up to a constant.
     energy = dataclasses.replace(record.energy, work=record.energy.work - record.energy.work[0])
-    shortest = grid.shortest_step(steps)
+    shortest = grid.shortest_step(integration.steps)
+    checks, status = checks_of(model, prepared.actual, prepared.status, carry, record, energy, times[-1], shortest)
     return Conclusion(
         times=times,
         record=record._replace(energy=energy),
         preload=prepared.preload,
         summary=load_summary(model, carry, times[-1]),
-        checks=checks_of(model, prepared.actual, prepared.status, carry, record, energy, times[-1], shortest),
+        checks=checks,
+        status=status,
         contact_changes=carry.contact_changes,
         ball_angles=ball_angles(model, record),
         centre_lines=link_lines(model, prepared.actual, prepared.state.position),

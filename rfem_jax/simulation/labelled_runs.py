@@ -85,7 +85,7 @@ def run_dataset(run: Run, cases: Sequence[str] | None = None) -> Dataset:
     _add_contacts(variables, coordinates, run, before)
     _add_lines(variables, coordinates, run, before)
     for name, (unit, meaning) in CHECKS.items():
-        variables[name] = Labelled(before, getattr(run, name), unit, meaning)
+        variables[name] = Labelled(before, getattr(run.checks, name), unit, meaning)
     codes = {"flag_values": np.arange(len(STATUS)), "flag_meanings": " ".join(one.name for one in STATUS)}
     variables["status"] = Labelled(before, run.status, "1", "what happened to the run", codes)
     return dataset(variables, coordinates, {"title": "rfem_jax: simulated loads and motion"})
@@ -118,11 +118,11 @@ def _add_loads(variables, run, joints, before) -> None:
 
 def _add_motion(variables, coordinates, run, before) -> None:
     """Driven coordinates and those of the tree joints, rotations and translations apart as their units differ."""
-    turning = [name for name in run.drives if _turns(run, name)]
+    turning = [name for name in run.motion.drives if _turns(run, name)]
     kinds = (
         ("rotation", turning, ("drive_angle", "rad"), ("drive_rate", "rad/s"), ("drive_moment", "N m")),
         (
-            "translation", [name for name in run.drives if name not in turning],
+            "translation", [name for name in run.motion.drives if name not in turning],
             ("drive_displacement", "m"), ("drive_speed", "m/s"), ("drive_force", "N"),
         ),
     )  # fmt: skip
@@ -132,10 +132,13 @@ def _add_motion(variables, coordinates, run, before) -> None:
             continue
         coordinates[dimension] = labels
         for (name, unit), field in zip(columns, ("position", "rate", "force"), strict=True):
-            values = _stack([getattr(run.drives[label], field) for label in labels], at)
+            values = _stack([getattr(run.motion.drives[label], field) for label in labels], at)
             meaning = f"{name.replace('drive_', '')} of the driven coordinate"
             variables[name] = Labelled((*before, "time", dimension), values, unit, meaning)
-    for dimension, unit, by_joint in (("angle", "rad", run.angles), ("displacement", "m", run.displacements)):
+    for dimension, unit, by_joint in (
+        ("angle", "rad", run.motion.angles),
+        ("displacement", "m", run.motion.displacements),
+    ):
         columns = dict(_coordinates(by_joint, at))
         if columns:
             coordinates[dimension] = list(columns)
@@ -147,7 +150,7 @@ def _add_motion(variables, coordinates, run, before) -> None:
 def _turns(run, label: str) -> bool:
     """Whether a driven coordinate, "A" or "C.T_y", is an angle."""
     joint, _, motion = label.partition(".")
-    return motion.startswith("R") if motion else joint in run.angles
+    return motion.startswith("R") if motion else joint in run.motion.angles
 
 
 def _coordinates(by_joint: Mapping[str, Any], axes: int):
@@ -170,9 +173,9 @@ def _add_energies(variables, coordinates, run, before) -> None:
         values = _stack(list(run.friction_losses.values()), len(before) + 1)
         meaning = "energy that a friction has dissipated since the start"
         variables["friction_loss"] = Labelled((*before, "time", "friction"), values, "J", meaning)
-    if run.branch:
-        coordinates["cut_joint"] = list(run.branch)
-        values = _stack(list(run.branch.values()), len(before) + 1)
+    if run.motion.branch:
+        coordinates["cut_joint"] = list(run.motion.branch)
+        values = _stack(list(run.motion.branch.values()), len(before) + 1)
         variables["branch"] = Labelled((*before, "time", "cut_joint"), values, "1", "assembly mode, +1 or -1")
 
 
@@ -218,15 +221,15 @@ def _add_contacts(variables, coordinates, run, before) -> None:
 
 def _add_lines(variables, coordinates, run, before) -> None:
     """Positions of the far ends of the links over time; centre lines as assembled, filled up with NaN."""
-    if not run.ends:
+    if not run.motion.ends:
         return
-    links = list(run.ends)
+    links = list(run.motion.ends)
     coordinates["link"] = links
     at = len(before)
-    ends = _stack(list(run.ends.values()), at + 1)
+    ends = _stack(list(run.motion.ends.values()), at + 1)
     dims = (*before, "time", "link", "component")
     variables["link_end"] = Labelled(dims, ends, "m", "position of the far end of a link, global axes")
-    for name, lines in (("centre_line", run.centre_lines), ("nominal_line", run.nominal_lines)):
+    for name, lines in (("centre_line", run.motion.centre_lines), ("nominal_line", run.motion.nominal_lines)):
         points = [np.asarray(lines[link]) for link in links]
         most = max(one.shape[at] for one in points)
         filled = [
@@ -278,7 +281,7 @@ def run_html(run: Run) -> str:
     header = ["joint", *(f"{METRICS[name][1]}, {METRICS[name][0]}" for name in SHOWN)]
     status = STATUS[int(run.status)]
     title = f"Run of {float(run.times[-1]):g} s, status {status.name}"
-    checks = [[meaning, float(getattr(run, name)), unit] for name, (unit, meaning) in CHECKS.items()]
+    checks = [[meaning, float(getattr(run.checks, name)), unit] for name, (unit, meaning) in CHECKS.items()]
     parts = [rich_text.table(header, rows), rich_text.table(["check", "value", "unit"], checks, (0, 2))]
     if status.name != "ok":
         parts.insert(0, rich_text.paragraph(status.message))

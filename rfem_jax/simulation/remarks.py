@@ -37,8 +37,8 @@ def balance_remark(error: float, what: str) -> str:
 def remarks_on(run: Any) -> tuple[str, ...]:
     """Sentences, without the name of the case, on one run."""
     remarks = (
-        balance_remark(float(run.energy_balance_error), "the energies"),
-        balance_remark(float(run.momentum_balance_error), "joint forces beside the rate of momentum"),
-        linear_remark(float(run.linear_error)),
+        balance_remark(float(run.checks.energy_balance_error), "the energies"),
+        balance_remark(float(run.checks.momentum_balance_error), "joint forces beside the rate of momentum"),
+        linear_remark(float(run.checks.linear_error)),
     )
     return tuple(filter(None, remarks))

@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Sequence
 from functools import reduce
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
@@ -138,11 +138,75 @@ class DriveHistory(eqx.Module):
     force: Float[Numbers, "*times"]
 
 
-class DrivenJoint(eqx.Module):
-    """The first driven coordinate at the end: angle [rad] and rate [rad/s], or displacement [m] and speed [m/s]."""
+class Motion(eqx.Module):
+    """Where a run's mechanism is at the saved times.
 
-    angle_end: Float[Numbers, ""]
-    rate_end: Float[Numbers, ""]
+    drives: `DriveHistory` of every driven coordinate, by joint ("A") or joint and motion ("C.T_y"); angle, rate,
+    drive_moment: those of the first one [rad, rad/s, N m; m, m/s, N]; angles [rad], displacements [m]: coordinates of
+    the tree joints that have any, (times, k) where a joint has k > 1; ends: positions (times, 3) [m] of the far ends of
+    the links, in global axes.
+
+    branch: assembly mode (times,) of every cut joint, +1 or -1 (0 where the joints' kinds tell none); a change of sign
+    is a passage through a change point (theory (5.13)), after which derivatives, and averages with runs on the other
+    branch, have no meaning.
+
+    centre_lines, nominal_lines: points (points, 3) [m] along the links as assembled, and of the perfect mechanism;
+    positions: all coordinates.
+    """
+
+    angle: Float[Numbers, " times"]
+    rate: Float[Numbers, " times"]
+    drive_moment: Float[Numbers, " times"]
+    drives: dict[str, DriveHistory]
+    angles: dict[str, Float[Numbers, " times ..."]]
+    displacements: dict[str, Float[Numbers, " times ..."]]
+    ends: dict[str, Float[Numbers, "times 3"]]
+    branch: dict[str, Float[Numbers, " times"]]
+    centre_lines: dict[str, Float[Numbers, "_ 3"]]
+    nominal_lines: dict[str, Float[Numbers, "_ 3"]]
+    positions: Coordinates | None = None
+
+    @property
+    def angle_end(self) -> Float[Numbers, ""]:
+        """The first driven coordinate at the end [rad, m]."""
+        return self.angle[..., -1]
+
+    @property
+    def rate_end(self) -> Float[Numbers, ""]:
+        """Its rate at the end [rad/s, m/s]."""
+        return self.rate[..., -1]
+
+
+class Checks(eqx.Module):
+    """How well a run keeps the laws of mechanics; each of these can fail.
+
+    energy_balance_error: relative to the energy that is exchanged (`Energy.exchanged`, at least a thousandth of the
+    largest joint force times the longest link); closure_drift [m], closure_drift_angle [rad]; momentum_balance_error
+    and hinge_moment_error, relative to the largest load; stabilisation_share, largest stabilising multiplier over the
+    largest multiplier; solution_residual, largest residual of an implicit step as a force over the largest joint force,
+    0 for explicit methods; linear_error, estimated error of linear elements, relative to the deflections of the link
+    that is worst (theory (1.16)).
+
+    equation_residual [N]: residual of the equations of motion at the saved times as forces (n = 0 for explicit
+    methods); its derivative says how accurate derivatives are, see `derivative_residual`. design_gap [m]: what the
+    loops of a design stay open by at the start; None without one.
+    """
+
+    energy_balance_error: Float[Numbers, ""]
+    closure_drift: Float[Numbers, ""]
+    closure_drift_angle: Float[Numbers, ""]
+    momentum_balance_error: Float[Numbers, ""]
+    hinge_moment_error: Float[Numbers, ""]
+    stabilisation_share: Float[Numbers, ""]
+    solution_residual: Float[Numbers, ""]
+    linear_error: Float[Numbers, ""]
+    equation_residual: Float[Numbers, "times n"]
+    design_gap: Float[Numbers, ""] | None = None
+
+
+# Former names of what is in groups now, for one version; `driven_joint` had the ends of angle and rate.
+_GROUP_OF = {field.name: "motion" for field in dataclasses.fields(Motion)}
+_GROUP_OF |= {field.name: "checks" for field in dataclasses.fields(Checks)}
 
 
 class PointHistory(eqx.Module):
@@ -169,73 +233,52 @@ class PointHistory(eqx.Module):
 class Run(eqx.Module):
     """One simulated case, or a batch of them with a leading axis.
 
-    times [s], the saved times; drives: `DriveHistory` of every driven coordinate, by joint ("A") or joint and motion
-    ("C.T_y"); angle, rate, drive_moment: those of the first one [rad, rad/s, N m; m, m/s, N]; angles [rad],
-    displacements [m]: coordinates of the tree joints that have any, (times, k) where a joint has k > 1; loads,
-    preload: `Load`s by joint, in hinge frames (`loads.force` and `loads.moment`: of all joints, (times, joints, 3));
-    energy; metrics; driven_joint.
+    status: code of `STATUS`, 0 if all checks hold; times [s], the saved times.
 
-    Checks, each of which can fail: energy_balance_error, relative to the energy that is exchanged (`Energy.exchanged`,
-    at least a thousandth of the largest joint force times the longest link); closure_drift [m],
-    closure_drift_angle [rad]; momentum_balance_error and hinge_moment_error, relative to the largest load;
-    stabilisation_share, largest stabilising multiplier over the largest multiplier; solution_residual, largest
-    residual of an implicit step as a force over the largest joint force, 0 for explicit methods; linear_error,
-    estimated error of linear elements, relative to the deflections of the link that is worst (theory (1.16)).
+    loads, preload: `Load`s by joint, in hinge frames (`loads.force` and `loads.moment`: of all joints, (times, joints,
+    3)); metrics of them over the whole duration; integrals: of squared loads, for `window`; forces: `PointHistory` by
+    the names of the forces at points of links and between them.
 
-    equation_residual [N]: residual of the equations of motion at the saved times as forces (n = 0 for explicit
-    methods); its derivative says how accurate derivatives are, see `derivative_residual`.  status: code of `STATUS`.
+    motion, energy, checks: see `Motion`, `Energy`, `Checks`.
 
-    centre_lines, nominal_lines: points (points, 3) [m] along the links as assembled, and of the perfect mechanism;
-    ends: positions (times, 3) [m] of the far ends of the links, in global axes.  branch: assembly mode (times,) of
-    every cut joint, +1 or -1 (0 where the joints' kinds tell none); a change of sign is a passage through a change
-    point (theory (5.13)), after which derivatives, and averages with runs on the other branch, have no meaning.
-    integrals: of squared loads, for `window`.  forces: `PointHistory` by the names of the forces at points of links and
-    between them.  friction_losses: energy (times,) [J] that every friction has dissipated, by its name.  contacts:
-    `ContactState` by the names of the joints with clearance; contact_losses: energy (times,) [J] that their
-    contacts have dissipated, by the joints; contact_changes: how often any of them has closed or
-    opened, None where steps did not follow them.  recorded: what `simulate` was asked to record, by the
-    names of `simulation.records`.
+    friction_losses: energy (times,) [J] that every friction has dissipated, by its name. contacts: `ContactState` by
+    the names of the joints with clearance; contact_losses: energy (times,) [J] that their contacts have dissipated, by
+    the joints; contact_changes: how often any of them has closed or opened, None where steps did not follow them.
 
-    positions: coordinates at the saved times; model, errors: what was simulated.
+    recorded: what `simulate` was asked to record, by the names of `simulation.records`; model, errors: what was
+    simulated.
     """
 
     times: Float[Numbers, " times"]
-    angle: Float[Numbers, " times"]
-    rate: Float[Numbers, " times"]
-    drive_moment: Float[Numbers, " times"]
-    drives: dict[str, DriveHistory]
-    angles: dict[str, Float[Numbers, " times ..."]]
-    displacements: dict[str, Float[Numbers, " times ..."]]
     loads: Loads
     preload: dict[str, Load]
-    energy: Energy
     metrics: Metrics
-    driven_joint: DrivenJoint
-    energy_balance_error: Float[Numbers, ""]
-    closure_drift: Float[Numbers, ""]
-    closure_drift_angle: Float[Numbers, ""]
-    momentum_balance_error: Float[Numbers, ""]
-    hinge_moment_error: Float[Numbers, ""]
-    stabilisation_share: Float[Numbers, ""]
-    solution_residual: Float[Numbers, ""]
-    linear_error: Float[Numbers, ""]
-    equation_residual: Float[Numbers, "times n"]
+    motion: Motion
+    energy: Energy
+    checks: Checks
     status: Int[Numbers, ""]
-    centre_lines: dict[str, Float[Numbers, "_ 3"]]
-    nominal_lines: dict[str, Float[Numbers, "_ 3"]]
-    ends: dict[str, Float[Numbers, "times 3"]]
-    branch: dict[str, Float[Numbers, " times"]]
     integrals: LoadIntegrals
     forces: dict[str, PointHistory]
     friction_losses: dict[str, Float[Numbers, " times"]] = eqx.field(default_factory=dict)
     contacts: dict[str, ContactState] = eqx.field(default_factory=dict)
     contact_losses: dict[str, Float[Numbers, " times"]] = eqx.field(default_factory=dict)
     contact_changes: Float[Numbers, ""] | None = None
-    design_gap: Float[Numbers, ""] | None = None
     recorded: dict[str, Any] = eqx.field(default_factory=dict)
-    positions: Coordinates | None = None
     model: Model | None = None
     errors: AssemblyErrors | None = None
+
+    if not TYPE_CHECKING:  # a type checker shall find the former names
+
+        def __getattr__(self, name: str) -> Any:
+            group = "motion" if name == "driven_joint" else _GROUP_OF.get(name)
+            if group is None:
+                raise AttributeError(f"A run has no {name!r}; it has {', '.join(vars(self))}.")
+            found = getattr(self, group)
+            new = group if name == "driven_joint" else f"{group}.{name}"
+            warnings.warn(
+                f"`run.{name}` is `run.{new}` now; a later version needs that.", DeprecationWarning, stacklevel=2
+            )
+            return found if name == "driven_joint" else getattr(found, name)
 
     def window(self, start: Scalar, stop: Scalar) -> WindowLoads:
         """Loads over start <= t <= stop [s] of one run; use vmap for a batch.  Differentiable.
@@ -268,9 +311,9 @@ class Run(eqx.Module):
             for name in m.rms_force
         ]
         lines.append(
-            f"energy balance {float(self.energy_balance_error):.1e}, momentum balance "
-            f"{float(self.momentum_balance_error):.1e}, closure drift "
-            f"{float(self.closure_drift):.1e} m"
+            f"energy balance {float(self.checks.energy_balance_error):.1e}, momentum balance "
+            f"{float(self.checks.momentum_balance_error):.1e}, closure drift "
+            f"{float(self.checks.closure_drift):.1e} m"
         )
         return "\n".join([*lines, *(f"remark: {one}" for one in remarks_on(self))])
 
@@ -318,7 +361,7 @@ def derivative_residual(change: Run) -> Float[Numbers, "*directions"]:
     **Arguments:** `change`: derivative of a run along one direction, as `jax.jvp` gives it (for several: under
     vmap, or `jacfwd`'s with the direction as the last axis).
 
-    **Returns:** for every direction the largest change of `equation_residual` over the largest change of a joint
+    **Returns:** for every direction the largest change of `checks.equation_residual` over the largest change of a joint
     force (theory (11.14)); zero for explicit methods.  Above `RESIDUAL_LIMIT` the derivative has not converged:
     choose a smaller tolerance of the method, or a smaller step.
     """
@@ -327,7 +370,7 @@ def derivative_residual(change: Run) -> Float[Numbers, "*directions"]:
         return jnp.max(jnp.abs(values), axis=axes, initial=0.0)
 
     force = jnp.stack([largest(load.force, (0, 1)) for load in change.loads.values()]).max(axis=0)
-    residual = largest(change.equation_residual, (0, 1))
+    residual = largest(change.checks.equation_residual, (0, 1))
     return residual / jnp.where(force > 0.0, force, 1.0)
 
 

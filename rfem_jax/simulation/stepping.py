@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PyTree, Shaped
@@ -21,12 +22,13 @@ from rfem_jax.description.methods import GeneralisedAlpha, Method
 from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.forces.bush_contacts import require_memory
 from rfem_jax.mechanics.forces.friction import require_implicit
+from rfem_jax.mechanics.model.inputs import Stabilisation
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors, with_structural_zeros
 from rfem_jax.simulation import equations
-from rfem_jax.simulation.driving import Drive, active_drives
+from rfem_jax.simulation.driving import ActiveDrives, Drive, active_drives
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
-from rfem_jax.simulation.solvers.catalogue import observed_solver
+from rfem_jax.simulation.solvers.catalogue import IntervalSolver, observed_solver
 from rfem_jax.simulation.solvers.contact_steps import follow_contacts, part_lengths
 from rfem_jax.simulation.solvers.generalised_alpha import GeneralisedAlphaSolver
 from rfem_jax.simulation.solvers.implicit_step import SOLUTION, Memory
@@ -92,32 +94,50 @@ def last_step(grid: TimeGrid, entry: Entry, steps: int | Float[Array, ""]) -> Fl
     return _row(lengths / jnp.maximum(counts, 1.0), last)
 
 
-class Intervals:
-    """Integration over the intervals of a grid, by any method.
+class Integration(eqx.Module):
+    """What is integrated and how: a mechanism under its drives over the intervals of a grid, by a method.
 
-    **Arguments:** as of `integration.advance`.
-
-    **Raises:** `InputError` for a method that cannot integrate the model.
+    steps: their number in an interval, for methods with fixed steps; traced, it is one program for all steps (then not
+    in reverse mode).
     """
 
-    def __init__(
-        self,
-        model: Model,
-        drive: Drive,
-        grid: TimeGrid,
-        method: Method,
-        steps: int | Float[Array, ""],
-        adjoint: diffrax.AbstractAdjoint | None,
-    ) -> None:
-        require_implicit(model, method.name, method.implicit)
-        require_memory(model, method.name, method.implicit)
-        self.model, self.drive, self.grid, self.method = model, drive, grid, method
-        self.steps, self.adjoint = steps, adjoint
-        self.solver = observed_solver(method)
-        self.tolerance = contact_tolerance_of(model, method)
-        self.counts = steps
-        if grid.parts is not None:
-            self.counts = jnp.asarray(steps_of_parts(grid.distinct, steps, grid.parts.least))
+    model: Model
+    drive: Drive
+    grid: TimeGrid
+    method: Method
+    steps: int | Float[Array, ""]
+
+    @property
+    def own_names(self) -> tuple[str, ...]:
+        """Names of the things that it has, for programs (`compilation.naming`)."""
+        return self.model.own_names
+
+    @property
+    def solver(self) -> IntervalSolver:
+        """The method's solver."""
+        return observed_solver(self.method)
+
+    @property
+    def drives(self) -> ActiveDrives:
+        """The drives, for which the model knows places."""
+        return active_drives(self.model, self.drive)
+
+    @property
+    def stabilisation(self) -> Stabilisation:
+        """What keeps the loops closed."""
+        return stabilisation_of(self.model, self.method)
+
+    @property
+    def counts(self) -> int | Float[Array, "..."]:
+        """Numbers of steps: in an interval, or in parts of each of the grid's lengths."""
+        if self.grid.parts is None:
+            return self.steps
+        return jnp.asarray(steps_of_parts(self.grid.distinct, self.steps, self.grid.parts.least))
+
+    def require_supported(self) -> None:
+        """Raise InputError for a method that cannot integrate the model."""
+        require_implicit(self.model, self.method.name, self.method.implicit)
+        require_memory(self.model, self.method.name, self.method.implicit)
 
     def operators(self, actual: ModelWithErrors) -> PyTree:
         """Constants of steps of each distinct length; None if the steps compute them themselves."""
@@ -125,28 +145,34 @@ class Intervals:
         lengths = lengths / (self.counts if self.grid.parts is None else jnp.maximum(self.counts, 1.0))
         if lengths.shape[0] > MOST_LENGTHS:
             return None
-        if self.tolerance is not None:
+        if contact_tolerance_of(self.model, self.method) is not None:
             return jax.vmap(lambda parts: self.solver.operators(actual, parts))(part_lengths(lengths))
         return self.solver.operators(actual, lengths)
 
-    def over(self, actual: ModelWithErrors, operators: PyTree, carry: Carry, entry: Entry) -> Carry:
+    def over(
+        self,
+        actual: ModelWithErrors,
+        operators: PyTree,
+        carry: Carry,
+        entry: Entry,
+        adjoint: diffrax.AbstractAdjoint | None = None,
+    ) -> Carry:
         """From the carry at the start of an interval to that at its end."""
-        grid, steps, method = self.grid, self.steps, self.method
-        drives, stabilisation = active_drives(self.model, self.drive), stabilisation_of(self.model, method)
+        grid, steps, tolerance = self.grid, self.steps, contact_tolerance_of(self.model, self.method)
         ahead = None if self.model.friction is None else grid.longest_step(steps)
         actual = with_structural_zeros(actual)
-        conditions = Conditions(actual, drives, entry.phase, stabilisation, ahead=ahead)
-        if method.adaptive:
-            return _adaptive_in_parts(self.solver, carry, entry, conditions, method, self.adjoint)
+        conditions = Conditions(actual, self.drives, entry.phase, self.stabilisation, ahead=ahead)
+        if self.method.adaptive:
+            return _adaptive_in_parts(self.solver, carry, entry, conditions, self.method, adjoint)
 
         def of_kind(kind):
             return jax.tree.map(lambda x: _row(x, kind), operators)
 
         if grid.parts is None:
             conditions = dataclasses.replace(conditions, operators=of_kind(entry.kind))
-            return _fixed(self.solver, carry, _even_steps(entry, steps), conditions, self.tolerance)
+            return _fixed(self.solver, carry, _even_steps(entry, steps), conditions, tolerance)
         schedule = _steps_in_parts(entry, self.counts, of_kind, steps, grid.parts.most)
-        return _fixed(self.solver, carry, schedule, conditions, self.tolerance)
+        return _fixed(self.solver, carry, schedule, conditions, tolerance)
 
 
 def _row(values: Shaped[Array, "rows ..."], place: Int[Array, ""]) -> Shaped[Array, "..."]:

@@ -107,9 +107,9 @@ def simulated() -> tuple[Model, Run]:
 def accelerations_at_end(model: Model, run: Run) -> dict[str, float]:
     """Accelerations of the angles [rad/s^2] in the last state."""
     topology = model.topology
-    position = jax.tree.map(lambda x: x[-1], run.positions)
+    position = jax.tree.map(lambda x: x[-1], run.motion.positions)
     rates = np.zeros(topology.n_freedoms)
-    rates[list(topology.drives)] = [float(run.drives[label].rate[-1]) for label in topology.drive_labels]
+    rates[list(topology.drives)] = [float(run.motion.drives[label].rate[-1]) for label in topology.drive_labels]
     state = State(position, Coordinates(jnp.asarray(rates), jnp.zeros_like(position.elastic)))
     forces = {k: jnp.asarray(_moments()[label]) for label, k in zip(topology.drive_labels, topology.drives)}
     actual = apply_errors(model, assembly_errors(model))
@@ -120,7 +120,7 @@ def accelerations_at_end(model: Model, run: Run) -> dict[str, float]:
 
 def forces_at_end(run: Run) -> dict[str, tuple[float, float]]:
     """Forces on K3, K4 and K6 in the point P along the reference's x and y [N], in the last state."""
-    angle = {joint: float(values[-1]) for joint, values in run.angles.items()}
+    angle = {joint: float(values[-1]) for joint, values in run.motion.angles.items()}
     turned = turn_y(angle["beta"] + angle["theta"])
     found = {}
     for joint in REFERENCE["force"]:
@@ -143,8 +143,8 @@ def by_lagrange() -> dict[str, dict[str, np.ndarray]]:
 def checked(model: Model, run: Run) -> list[Line]:
     """Seven angles, rates and accelerations and six forces at the end, within a share of the largest of their kind."""
     ours = {
-        "angle": {joint: float(values[-1]) for joint, values in run.angles.items()},
-        "rate": {joint: float(history.rate[-1]) for joint, history in run.drives.items()},
+        "angle": {joint: float(values[-1]) for joint, values in run.motion.angles.items()},
+        "rate": {joint: float(history.rate[-1]) for joint, history in run.motion.drives.items()},
         "acceleration": accelerations_at_end(model, run),
         "force": forces_at_end(run),
     }

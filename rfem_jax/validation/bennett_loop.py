@@ -106,12 +106,12 @@ def validate(full: bool, progress: Progress) -> Outcome:
     group = "Bennett linkage"
     lines: list[Line] = [same(group, "closure", found, "mobility 1, rank 2 of 5", SOURCE)]
     run = simulated()
-    crank = jnp.asarray(run.angle)
+    crank = jnp.asarray(run.motion.angle)
     for joint in "BD":
-        off = np.asarray(run.angles[joint]) - np.asarray(follower(crank))
+        off = np.asarray(run.motion.angles[joint]) - np.asarray(follower(crank))
         off = np.abs(off - 2.0 * np.pi * np.round(off / (2.0 * np.pi))).max()
         lines.append(absolute(group, f"angle of {joint}, largest difference", off, 0.0, 1e-8, SOURCE, "rad"))
-    known, ours = np.asarray(jax.jit(jax.vmap(drive_moment))(crank)), np.asarray(run.drive_moment)
+    known, ours = np.asarray(jax.jit(jax.vmap(drive_moment))(crank)), np.asarray(run.motion.drive_moment)
     at = int(np.argmax(np.abs(ours - known)))
     allowed = 1e-7 * float(np.abs(known).max())
     name = f"drive moment at {float(run.times[at]):.3g} s"

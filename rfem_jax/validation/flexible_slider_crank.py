@@ -117,9 +117,9 @@ def run(parts: int, elements: str, step: float) -> Run:
 
 def deflection(run: Run) -> np.ndarray:
     """Lateral deflection [m] of the rod's middle from its chord at the saved times."""
-    crank = np.asarray(run.angles["A"])
+    crank = np.asarray(run.motion.angles["A"])
     pin = CRANK * np.stack([np.cos(crank), np.sin(crank)], axis=1)
-    chord = np.stack([np.asarray(run.displacements["G"]), np.zeros_like(crank)], axis=1) - pin
+    chord = np.stack([np.asarray(run.motion.displacements["G"]), np.zeros_like(crank)], axis=1) - pin
     chord /= np.linalg.norm(chord, axis=1, keepdims=True)
     place = np.asarray(run.forces["middle"].place)
     middle = np.stack([place[:, 0], -place[:, 2]], axis=1) - pin
@@ -162,7 +162,7 @@ def element_lines(run: Run, known: np.ndarray) -> list[Line]:
     """A rod of 8 elements against the deflection of the theory and the published values."""
     found, group = deflection(run), f"{TITLE}, 8 exact elements"
     allowed = DEFLECTION_SHARE * float(np.abs(known).max())
-    slider = float(np.asarray(run.displacements["G"])[-1])
+    slider = float(np.asarray(run.motion.displacements["G"])[-1])
     return [
         same(group, "status of the run", STATUS[int(run.status)].name, "ok", "-"),
         _farthest_off(group, found, known, allowed),

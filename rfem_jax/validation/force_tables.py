@@ -109,9 +109,9 @@ def released(name: str) -> Run:
 
 def observed(run: Run) -> dict[str, Float[np.ndarray, "times 3"]]:
     """The tables' quantities at the saved times, the angular velocity by differences of rotations."""
-    rotation = np.stack([turn_z(z) @ turn_y(y) @ turn_x(x) for x, y, z in np.asarray(run.angles["J"])])
+    rotation = np.stack([turn_z(z) @ turn_y(y) @ turn_x(x) for x, y, z in np.asarray(run.motion.angles["J"])])
     return {
-        "position": np.asarray(run.displacements["J"]),
+        "position": np.asarray(run.motion.displacements["J"]),
         "rate": angular_velocity(rotation, float(run.times[1] - run.times[0])),
         "spring force": -np.asarray(run.forces["spring"].force),
     }
@@ -174,7 +174,7 @@ def moved(name: str) -> Run:
 def moved_lines(name: str, run: Run) -> list[Line]:
     """Of each table of an actuator the value that is farthest off."""
     guide = MOVED[name][0] @ SLIDING
-    place = np.asarray(run.displacements["J"])[:, None] * guide[:, 0]
+    place = np.asarray(run.motion.displacements["J"])[:, None] * guide[:, 0]
     force, moment = (np.asarray(getattr(run.loads["J"], key)) @ guide.T for key in ("force", "moment"))
     along = (force @ guide[:, :1]) * guide[:, 0]
     torque = -moment - np.cross(place, force)

@@ -123,8 +123,8 @@ def motion_lines(prefix: str, allowed: AllowedDifferences, case: str, run: Run) 
         at = int(np.argmin(np.abs(run.times - float(time))))
         lines += [
             absolute(f"{prefix}: crank rotation", f"{case} crank rotation at {time} s",
-                     run.angle[at] - run.angle[0], angles[time], allowed.angle, SOURCE, "rad"),
-            absolute(f"{prefix}: crank rate", f"{case} crank rate at {time} s", run.rate[at],
+                     run.motion.angle[at] - run.motion.angle[0], angles[time], allowed.angle, SOURCE, "rad"),
+            absolute(f"{prefix}: crank rate", f"{case} crank rate at {time} s", run.motion.rate[at],
                      rates[time], allowed.rate, SOURCE, "rad/s"),
             relative(f"{prefix}: energy", f"{case} energy at {time} s", run.energy.total[at],
                      energies[time], allowed.energy, SOURCE, "J"),

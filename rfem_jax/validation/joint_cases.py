@@ -42,7 +42,7 @@ def checked(
     lines += preload_lines(reference, case, group, run.preload, allowed.preload)
     for quantity in ("force", "moment"):
         lines += _at_instants(reference, quantity, case, group, run, allowed.instant)
-    for name, coordinates in (("angle", run.angles), ("slide", run.displacements)):
+    for name, coordinates in (("angle", run.motion.angles), ("slide", run.motion.displacements)):
         lines += _motion(reference, name, case, group, run, coordinates, allowed.motion)
     return lines
 
@@ -120,7 +120,7 @@ def _strain(line: Line) -> float:
 def in_seat(run: Run, joint: str, quantity: str, i: int) -> Float[np.ndarray, "3"]:
     """The load of a revolute, cylindrical or prismatic joint at a saved time in the axes of its seat."""
     load = np.asarray(getattr(run.loads[joint], quantity))[i]
-    return turn_y(float(np.asarray(run.angles[joint])[i])) @ load if joint in run.angles else load
+    return turn_y(float(np.asarray(run.motion.angles[joint])[i])) @ load if joint in run.motion.angles else load
 
 
 def _instants(reference: Reference, key: str, case: str, run: Run) -> Iterator[tuple[str, int, dict[str, Any]]]:

@@ -111,8 +111,8 @@ def motions(kind: str, run: Run) -> tuple[Float[np.ndarray, "times 3 3"], Float[
     times = len(np.asarray(run.times))
     displacement = np.zeros((times, 3))
     if kind in ("prismatic", "cylindrical"):
-        displacement[:, 0 if kind == "prismatic" else 1] = np.asarray(run.displacements["J"])
-    angles = np.asarray(run.angles["J"]).reshape(times, -1) if "J" in run.angles else np.zeros((times, 0))
+        displacement[:, 0 if kind == "prismatic" else 1] = np.asarray(run.motion.displacements["J"])
+    angles = np.asarray(run.motion.angles["J"]).reshape(times, -1) if "J" in run.motion.angles else np.zeros((times, 0))
     turns = {
         "prismatic": lambda: np.eye(3),
         "universal": lambda first, second: turn_y(first) @ turn_z(second),
@@ -146,7 +146,7 @@ def observed(name: str, run: Run) -> dict[str, Float[np.ndarray, "times 3"]]:
     torque = -np.einsum("tij,tj->ti", to_global, load["moment"]) + np.cross(moved, force)
     if case.law is not None:
         axis = seat[:, 1]
-        law = np.asarray(case.law(jnp.asarray(run.angles["J"]), jnp.asarray(rate @ axis)))
+        law = np.asarray(case.law(jnp.asarray(run.motion.angles["J"]), jnp.asarray(rate @ axis)))
         torque = torque - law[:, None] * axis
     return {"position": position, "rate": rate, "force": force, "torque": torque}
 
@@ -232,7 +232,7 @@ def lagrange_angles(times: Float[np.ndarray, " times"]) -> Float[np.ndarray, "ti
 def lagrange_lines(run: Run) -> list[Line]:
     """Angles of the universal joint."""
     every = slice(0, None, 50)
-    ours = np.asarray(run.angles["J"])[every]
+    ours = np.asarray(run.motion.angles["J"])[every]
     known = lagrange_angles(np.asarray(run.times)[every])
     row, column = np.unravel_index(np.argmax(np.abs(ours - known)), known.shape)
     name = f"angle {column + 1} at {float(run.times[50 * row]):.2g} s"

@@ -174,15 +174,15 @@ def wheel_lines() -> list[Line]:
     rates = (WHEEL_RATE + limit) * left - limit
     angles = (WHEEL_RATE + limit) * (1.0 - left) / decay - limit * times
     group, lines = "Friction, flywheel", []
-    for name, found, known in (("rate", run.rate, rates), ("angle", run.angle, angles)):
+    for name, found, known in (("rate", run.motion.rate, rates), ("angle", run.motion.angle, angles)):
         at = int(np.flatnonzero(sliding)[-1])
         unit = "rad/s" if name == "rate" else "rad"
         title = f"{name} at {times[at]:g} s"
         lines.append(relative(group, title, np.asarray(found)[at], known[at], 1e-8, "closed form", unit))
     label, stood = REFERENCE.label, REFERENCE["angle_at_4_s"][0]
     lines += [
-        relative(group, "angle at 4 s, at rest", run.angle[-1], stood, 1e-8, label, "rad"),
-        absolute(group, "rate at 4 s", run.rate[-1], 0.0, 1e-6, "closed form", "rad/s"),
+        relative(group, "angle at 4 s, at rest", run.motion.angle[-1], stood, 1e-8, label, "rad"),
+        absolute(group, "rate at 4 s", run.motion.rate[-1], 0.0, 1e-6, "closed form", "rad/s"),
         relative(group, "RMS moment", run.metrics.rms_moment["G"], REFERENCE["wheel_moment"][0], 1e-4, label, "N m"),
     ]
     return lines

@@ -135,7 +135,7 @@ def _at(run: Run, named: str) -> int:
 
 def slider_crank_lines(run: Run) -> list[Line]:
     """Place of the slider."""
-    quantity, slide = REFERENCE.quantities["slider"], np.asarray(run.displacements["G"])
+    quantity, slide = REFERENCE.quantities["slider"], np.asarray(run.motion.displacements["G"])
     return [
         absolute("IFToMM spatial slider-crank", f"slider at {named} s", slide[_at(run, named)], known, SLIDER,
                  quantity.label, "m")
@@ -145,8 +145,8 @@ def slider_crank_lines(run: Run) -> list[Line]:
 
 def modelica_lines(name: str, run: Run) -> list[Line]:
     """Angle turned and rate of the driven joint."""
-    lines, turned = [], np.asarray(run.angle) - float(run.angle[0])
-    for key, values, share in (("angle", turned, ANGLE), ("rate", np.asarray(run.rate), RATE)):
+    lines, turned = [], np.asarray(run.motion.angle) - float(run.motion.angle[0])
+    for key, values, share in (("angle", turned, ANGLE), ("rate", np.asarray(run.motion.rate), RATE)):
         quantity = REFERENCE.quantities[f"modelica_{key}"]
         for named, known in quantity.values.get(name, {}).items():
             title = f"{MODELICA[name].compared.replace('angle', key)} at {named} s"
@@ -163,7 +163,7 @@ def validate(full: bool, progress: Progress) -> Outcome:
     quantity = REFERENCE.quantities["slider"]
     times = np.array([float(named) for named in quantity.values])
     curves = (
-        Curve("ours", np.asarray(run.times), np.asarray(run.displacements["G"])),
+        Curve("ours", np.asarray(run.times), np.asarray(run.motion.displacements["G"])),
         Curve(quantity.label, times, np.array(list(quantity.values.values())), True),
     )
     progress(0.25)

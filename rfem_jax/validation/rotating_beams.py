@@ -101,8 +101,8 @@ def _simulate(model, drive):
 
 def tip_in_hub_frame(run: Run) -> tuple[Float[np.ndarray, " times"], Float[np.ndarray, " times"]]:
     """Of the tip: distance along the x axis of the rotating hub, and lag across it [m]."""
-    x, z = run.ends["beam"][:, 0], run.ends["beam"][:, 2]
-    c, s = np.cos(run.angle), np.sin(run.angle)
+    x, z = run.motion.ends["beam"][:, 0], run.motion.ends["beam"][:, 2]
+    c, s = np.cos(run.motion.angle), np.sin(run.motion.angle)
     return c * x - s * z, s * x + c * z
 
 

@@ -201,7 +201,7 @@ def rigid_lines(case: str, run: Run) -> list[Line]:
     lines = checked(REFERENCE, case, group, run, RIGID, duration=2.0 if case == "RSUP" else None)
     quantity, times = REFERENCE.quantities["quadrature"], np.asarray(run.times)
     for named, known in quantity.values.items() if case == "RSUP" else ():
-        value = np.asarray(run.angle)[np.argmin(np.abs(times - float(named)))]
+        value = np.asarray(run.motion.angle)[np.argmin(np.abs(times - float(named)))]
         name = f"crank angle at {named} s, energy"
         lines.append(absolute(group, name, value, known, 1e-7, quantity.label, "rad"))
     return lines

@@ -48,7 +48,7 @@ def simulated(
 
 def rotations(run: Run) -> Rotations:
     """Of the body at the saved times."""
-    return np.stack([turn_z(z) @ turn_y(y) @ turn_x(x) for x, y, z in np.asarray(run.angles["O"])])
+    return np.stack([turn_z(z) @ turn_y(y) @ turn_x(x) for x, y, z in np.asarray(run.motion.angles["O"])])
 
 
 def turned(found: Rotations, known: Rotations) -> Float[np.ndarray, " times"]:

@@ -85,7 +85,7 @@ def study(segments: int, cases: dict[str, dict], duration: float) -> Study:
 
 def displacement(run: Run) -> Float[np.ndarray, "times 3"]:
     """Displacement of C [m] in the benchmark's axes."""
-    u = run.ends["bar2"] - np.array([0.24, 0.0, 0.12])
+    u = run.motion.ends["bar2"] - np.array([0.24, 0.0, 0.12])
     return np.stack([u[:, 0], u[:, 2], -u[:, 1]], axis=1)
 
 
@@ -96,7 +96,7 @@ def at_time(run: Run, time: float) -> int:
 
 def branch_name(run: Run) -> str:
     """The branch after the change point: on that of the parallelogram the assembly mode changes sign."""
-    modes = run.branch["C"]
+    modes = run.motion.branch["C"]
     if not np.all(np.isfinite(modes)):
         return STATUS[int(run.status)].name
     return "parallelogram" if modes[-1] != modes[0] else "anti-parallelogram"

@@ -82,7 +82,7 @@ def of_batch(model, names, method, errors, radial) -> Found:
         )
         of = run.metrics
         loads = of.rms_force[JOINT], of.rms_moment[JOINT], of.max_normal_force[JOINT]
-        return Found(*loads, run.contact_changes, run.energy_balance_error, run.status)
+        return Found(*loads, run.contact_changes, run.checks.energy_balance_error, run.status)
 
     return jax.vmap(one)(errors)
 

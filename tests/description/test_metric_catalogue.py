@@ -30,7 +30,7 @@ def load(tmp_path, metrics, limits=""):
 def test_study_files_know_a_registered_metric_from_then_on(tmp_path, refused):
     with refused("'swing' is not a metric"):
         load(tmp_path, '["swing"]')
-    register_metric("swing", "rad", lambda run: run.angle.max())
+    register_metric("swing", "rad", lambda run: run.motion.angle.max())
     register_metric("end_force", "N", lambda run, joint: run.loads[joint].force[-1, 0], of_joints=True)
     task = load(tmp_path, '["*.end_force", "swing"]', 'limits = { "A.end_force" = -1.0 }')
     assert task.metrics == ("A.end_force", "B.end_force", "D.end_force", "C.end_force", "swing")
@@ -57,7 +57,7 @@ def test_the_motion_of_a_joint_is_a_metric_where_it_has_one(tmp_path, refused):
 
 
 def test_limits_of_a_metric_that_is_never_negative_are_positive(tmp_path, refused):
-    register_metric("height", "m", lambda run: run.angle[-1] ** 2, nonnegative=True)
+    register_metric("height", "m", lambda run: run.motion.angle[-1] ** 2, nonnegative=True)
     assert load(tmp_path, '["height"]', "limits = { height = 1.0 }").limits == {"height": (float("-inf"), 1.0)}
     with refused("never negative", "`height`"):
         load(tmp_path, '["height"]', "limits = { height = -1.0 }")

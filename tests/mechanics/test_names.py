@@ -137,7 +137,7 @@ def results(names):
     drive = MomentRamp(one, 0.5, 2e-3)
     wanted = design(model, {f"{lower}.length": 0.21})
     run = simulate(Simulation(model, drive=drive, duration=3e-3, method=METHOD), errors, record=f"{upper}.sections")
-    assert [*run.loads] == sorted([one, other]) and [*run.ends] == sorted([upper, lower])
+    assert [*run.loads] == sorted([one, other]) and [*run.motion.ends] == sorted([upper, lower])
     assert [*run.recorded] == [f"{upper}.sections"] and [*run.friction_losses] == [names[5]]
     designed = simulate(Simulation(model, drive=drive, duration=3e-3, method=METHOD, design=wanted), errors)
     rest = assemble(model, errors)
@@ -151,7 +151,7 @@ def results(names):
     assert [*values] == sorted([f"{other}.rms_force", f"{one}.peak_moment", "end_energy"]) and int(status) == 0
     rows = evaluate_lanes(problem, (f"{other}.d_x",), {}, jnp.asarray([[1e-3], [2e-3]]), local_mesh())
     return [
-        run.loads[one].force, run.loads[other].moment, run.ends[lower], run.forces[names[6]].force,
+        run.loads[one].force, run.loads[other].moment, run.motion.ends[lower], run.forces[names[6]].force,
         run.friction_losses[names[5]], designed.loads[other].force, rest.preload[other].force,
         turn.loads[one].force, modes.frequency, values[f"{other}.rms_force"], values[f"{one}.peak_moment"], rows[0],
     ]  # fmt: skip

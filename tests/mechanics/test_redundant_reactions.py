@@ -305,7 +305,7 @@ def test_nothing_acts_in_any_plane(method):
     model = turned(discretise(slider_crank(gravity=(0.0, 0.0, 0.0))), random_rotations(1)[3])
     run = simulate(Simulation(model, drive=None, duration=5e-4, method=method))
     assert STATUS[int(run.status)].name == "ok"
-    np.testing.assert_allclose(run.angles["A"], np.radians(45), atol=1e-12)
+    np.testing.assert_allclose(run.motion.angles["A"], np.radians(45), atol=1e-12)
 
 
 @pytest.mark.slow

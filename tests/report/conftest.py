@@ -133,20 +133,20 @@ def synthetic_run(size, status=0):
             ("max_normal_force", 3.0),
         )
     }
-    return SimpleNamespace(
-        times=times,
+    motion = SimpleNamespace(
         angle=-1.5 + 20.0 * times + 0.01 * size * times,
         rate=20.0 + 0.0 * times,
+        angle_end=8.5 + 0.005 * size,
+        rate_end=20.0,
         angles={"A": times, "B": 2.0 * times, "D": 0.1 * times * size},
         displacements={},
         drive_moment=np.where(times <= 0.1, 15.0 * times, 0.0),
-        loads=loads,
-        preload=preload,
-        energy=SimpleNamespace(
-            kinetic=times, elastic=0.5 * times, gravity=-0.25 * times, work=times, dissipation=times
-        ),
-        metrics=SimpleNamespace(**metrics),
-        driven_joint=SimpleNamespace(angle_end=8.5 + 0.005 * size, rate_end=20.0),
+        centre_lines={link: line + (0.0 if link == "crank" else size) * bend for link, line in nominal.items()},
+        nominal_lines=nominal,
+        branch={"C": np.where(times < 0.2, 1.0, -1.0)},
+        positions=None,
+    )
+    checks = SimpleNamespace(
         energy_balance_error=1e-7,
         closure_drift=2e-12,
         closure_drift_angle=3e-12,
@@ -154,10 +154,18 @@ def synthetic_run(size, status=0):
         stabilisation_share=5e-6,
         solution_residual=6e-7,
         linear_error=1e-4,
+    )
+    return SimpleNamespace(
+        times=times,
+        motion=motion,
+        checks=checks,
+        loads=loads,
+        preload=preload,
+        energy=SimpleNamespace(
+            kinetic=times, elastic=0.5 * times, gravity=-0.25 * times, work=times, dissipation=times
+        ),
+        metrics=SimpleNamespace(**metrics),
         status=np.int32(status),
-        centre_lines={link: line + (0.0 if link == "crank" else size) * bend for link, line in nominal.items()},
-        nominal_lines=nominal,
-        branch={"C": np.where(times < 0.2, 1.0, -1.0)},
         friction_losses={},
         contacts={},
         contact_losses={},

@@ -36,8 +36,8 @@ def several(tmp_path, runs):
     path.write_text(STUDY[:start] + SEVERAL + STUDY[end:], encoding="utf-8")
     for run in runs.values():
         times = run.times
-        run.drives = {
-            "A": SimpleNamespace(position=run.angle, rate=run.rate, force=run.drive_moment),
+        run.motion.drives = {
+            "A": SimpleNamespace(position=run.motion.angle, rate=run.motion.rate, force=run.motion.drive_moment),
             "D": SimpleNamespace(position=2.0 * times, rate=2.0 + 0.0 * times, force=-3.0 * times),
         }
     return load_study(path), runs
@@ -95,7 +95,7 @@ def test_a_driven_slide_ends_at_a_position(tmp_path):
     path = tmp_path / "study.toml"
     path.write_text(SLIDER + PUSH, encoding="utf-8")
     drive = SimpleNamespace(position=np.array([0.0, 0.3]), rate=np.array([0.0, 4.0]), force=np.zeros(2))
-    driven = _driven_joints(load_study(path), SimpleNamespace(drives={"C.T_y": drive}))
+    driven = _driven_joints(load_study(path), SimpleNamespace(motion=SimpleNamespace(drives={"C.T_y": drive})))
     assert driven == [{"joint": "C", "motion": "T_y", "position_end": 0.3, "speed_end": 4.0}]
 
 

@@ -123,7 +123,7 @@ def test_a_dollar_in_the_title_is_a_dollar(tmp_path, study, runs, statuses):
 def test_curves_and_their_differences(figures, runs):
     upper, lower = figures["angle"].axes
     curves = {line.get_label(): line.get_ydata() for line in upper.lines}
-    np.testing.assert_array_equal(curves["P2"], runs["P2"].angle)
+    np.testing.assert_array_equal(curves["P2"], runs["P2"].motion.angle)
     np.testing.assert_allclose(lower.lines[0].get_ydata(), 0.02 * runs["P2"].times, atol=1e-14)
     assert "from P1" in lower.get_ylabel()
 
@@ -169,14 +169,14 @@ def test_joints_of_the_base_and_the_most_loaded_ones_have_their_pictures(figures
 @pytest.mark.usefixtures("_coarse")
 def test_a_failed_case_is_marked_and_does_not_break_pictures(tmp_path, study, runs, statuses):
     run = runs["P2"]
-    run.angle[3:] = np.nan
+    run.motion.angle[3:] = np.nan
     for values in vars(run.metrics).values():
         values.update(dict.fromkeys(values, float("nan")))
     for joint in run.preload:
         run.preload[joint].force[:] = np.nan
         run.preload[joint].moment[:] = np.nan
         run.loads[joint].force[3:] = np.nan
-    run.centre_lines = {link: line * np.nan for link, line in run.centre_lines.items()}
+    run.motion.centre_lines = {link: line * np.nan for link, line in run.motion.centre_lines.items()}
     paths = write_figures(tmp_path, study, runs, summarise(study, runs, statuses))
     assert {path.stem for path in paths} == NAMES
     figures = draw_figures(study, runs, summarise(study, runs, statuses))
@@ -254,7 +254,8 @@ def test_a_joint_off_the_axis_of_its_link_is_drawn_where_the_other_link_ends(ter
 
 def test_an_arm_joins_the_axis_and_the_joint(ternary, study, runs):
     mechanism, lines = ternary
-    run = SimpleNamespace(**{**vars(runs["P1"]), "centre_lines": lines, "nominal_lines": lines})
+    motion = SimpleNamespace(**vars(runs["P1"].motion) | {"centre_lines": lines, "nominal_lines": lines})
+    run = SimpleNamespace(**vars(runs["P1"]) | {"motion": motion})
     # This mechanism does not close: no places of its joints.
     figure = assembly_figure(replace(study, mechanism=mechanism, cases=study.cases[:1]), {"P1": run}, {})
     arms = [np.stack(line.get_data_3d(), axis=1) for line in figure.axes[0].lines if line.get_linewidth() == 1.2]

@@ -73,7 +73,7 @@ def test_json_has_a_unit_for_every_number_and_versions(folder):
 def test_nan_and_infinity_become_null(tmp_path, study, runs, statuses):
     runs["P2"].metrics.rms_force["A"] = np.float64("nan")
     runs["P2"].preload["B"].force[1] = np.inf
-    runs["P2"].closure_drift = np.float64("nan")
+    runs["P2"].checks.closure_drift = np.float64("nan")
     write_files(tmp_path, study, runs, summarise(study, runs, statuses))
     case = read_json(tmp_path)["cases"]["P2"]
     assert case["joints"]["A"]["rms_force"] is None
@@ -115,7 +115,7 @@ def test_one_csv_per_case_and_no_part_files(folder):
 
 
 def test_columns_of_a_failed_run_keep_nan(study, runs):
-    runs["P1"].rate[5:] = np.nan
+    runs["P1"].motion.rate[5:] = np.nan
     rate = history_columns(study, runs["P1"])["rate_rad_s"]
     assert np.isnan(rate).tolist() == [False] * 5 + [True] * 6
 

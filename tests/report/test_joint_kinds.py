@@ -97,8 +97,8 @@ def test_axial_force_is_along_the_guide_and_nothing_is_left_along_free_motions(r
     assert np.abs(force[:, 0]).max() < 1e-9 * np.abs(force).max()
     assert float(run.metrics.max_axial_force["G"]) < 1e-9 * float(run.metrics.max_normal_force["G"])
     np.testing.assert_allclose(run.metrics.max_normal_force["G"], np.hypot(force[:, 1], force[:, 2]).max(), rtol=1e-3)
-    assert float(run.hinge_moment_error) < 1e-9
-    assert float(run.momentum_balance_error) < 1e-12
+    assert float(run.checks.hinge_moment_error) < 1e-9
+    assert float(run.checks.momentum_balance_error) < 1e-12
 
 
 def test_titles_of_components_say_which_is_along_the_axis():

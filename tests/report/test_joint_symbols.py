@@ -53,8 +53,8 @@ def test_seats_are_those_of_the_perfect_start(slider):
 
 def test_a_guide_is_as_long_as_the_way_of_the_slider(slider):
     runs = {
-        "one": SimpleNamespace(displacements={"G": np.array([0.1, 0.3, np.nan])}),
-        "other": SimpleNamespace(displacements={"G": np.array([-0.2, 0.0])}),
+        "one": SimpleNamespace(motion=SimpleNamespace(displacements={"G": np.array([0.1, 0.3, np.nan])})),
+        "other": SimpleNamespace(motion=SimpleNamespace(displacements={"G": np.array([-0.2, 0.0])})),
     }
     ((low, high),) = guide_ends(slider.joint("G"), joint_seats(slider)["G"], runs, size=1.0)
     np.testing.assert_allclose([low, high], [[0, 0.29, 0.2], [0, -0.39, 0.2]], atol=1e-14)

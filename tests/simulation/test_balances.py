@@ -46,10 +46,10 @@ def test_long_steps_of_a_rigid_four_bar_are_not_accepted():
     long, shorter, fine = (
         simulate(Simulation(model, method=GeneralisedAlpha(step=step), **settings)) for step in (5e-3, 2.5e-3, 2e-4)
     )
-    assert named(long) == "not_balanced" and float(long.energy_balance_error) > BALANCE_LIMIT
+    assert named(long) == "not_balanced" and float(long.checks.energy_balance_error) > BALANCE_LIMIT
     assert float(long.metrics.rms_force["C"]) > 1.1 * float(fine.metrics.rms_force["C"])
-    assert named(shorter) == "ok" and REMARKABLE_BALANCE < float(shorter.energy_balance_error) < BALANCE_LIMIT
-    assert named(fine) == "ok" and float(fine.energy_balance_error) < 1e-3
+    assert named(shorter) == "ok" and REMARKABLE_BALANCE < float(shorter.checks.energy_balance_error) < BALANCE_LIMIT
+    assert named(fine) == "ok" and float(fine.checks.energy_balance_error) < 1e-3
     # What is accepted, but not small, is said.
     assert "remark: the energies are off by" in shorter.summary() and "remark" not in fine.summary()
 
@@ -60,10 +60,10 @@ def test_little_energy_says_little():
     model = discretise(four_bar(2))
     settings = {"duration": 0.02, "method": GeneralisedAlpha(step=1e-3)}
     rest = simulate(Simulation(model, drive=None, **settings))
-    assert named(rest) == "ok" and float(rest.energy_balance_error) < 1e-3
+    assert named(rest) == "ok" and float(rest.checks.energy_balance_error) < 1e-3
     heavy = discretise(four_bar(2, forces=[PointForce("load", "coupler", 0.15, (0.0, 0.0, -500.0))]))
     slow = simulate(Simulation(heavy, drive=PrescribedRate("A", 1e-4), **settings))
-    assert named(slow) == "ok" and float(slow.energy_balance_error) < 1e-3
+    assert named(slow) == "ok" and float(slow.checks.energy_balance_error) < 1e-3
 
 
 def bump(kind):
@@ -90,15 +90,15 @@ def test_a_table_over_position_that_is_passed_within_a_step_is_noticed(kind):
     model = discretise(bump(kind))
     drive, settings = MomentRamp("A", 30.0, 0.02), {"duration": 0.05, "save_every": 2e-3}
     fine = simulate(Simulation(model, drive=drive, method=GeneralisedAlpha(step=1e-5), **settings))
-    assert named(fine) == "ok" and float(fine.energy_balance_error) < 1e-3
+    assert named(fine) == "ok" and float(fine.checks.energy_balance_error) < 1e-3
     passed = simulate(Simulation(model, drive=drive, method=GeneralisedAlpha(step=2e-3), **settings))
-    assert abs(float(passed.rate[-1]) / float(fine.rate[-1]) - 1.0) > 0.02
+    assert abs(float(passed.motion.rate[-1]) / float(fine.motion.rate[-1]) - 1.0) > 0.02
     assert named(passed) == "not_balanced"
     # The work is the integral of the table: that of the whole bump is known.
     method = choose_method(model, Automatic(), drive, settings["duration"], save_every=settings["save_every"])
     chosen = simulate(Simulation(model, drive=drive, method=method, **settings))
-    assert named(chosen) == "ok" and float(chosen.energy_balance_error) < REMARKABLE_BALANCE
-    np.testing.assert_allclose(chosen.rate[-1], fine.rate[-1], rtol=1e-2)
+    assert named(chosen) == "ok" and float(chosen.checks.energy_balance_error) < REMARKABLE_BALANCE
+    np.testing.assert_allclose(chosen.motion.rate[-1], fine.motion.rate[-1], rtol=1e-2)
 
 
 def peak(t, phase):
@@ -115,7 +115,7 @@ def test_auto_sees_a_narrow_peak_of_a_function():
     run = simulate(Simulation(bar, drive=drive, method=method, **settings))
     mass = 7850.0 * 0.01**2 * 0.3
     inertia = mass * (0.3**2 / 3.0 + 0.01**2 / 12.0)
-    np.testing.assert_allclose(run.rate[-1], 40.0 * 1e-4 * np.sqrt(np.pi) / inertia, rtol=1e-3)
+    np.testing.assert_allclose(run.motion.rate[-1], 40.0 * 1e-4 * np.sqrt(np.pi) / inertia, rtol=1e-3)
     narrow = MomentFunction("A", lambda t, phase: peak(0.0203 + 300.0 * (t - 0.0203), phase))
     with pytest.raises(InputError, match="`breakpoints`"):
         choose_method(bar, Automatic(), narrow, **settings)
@@ -151,8 +151,8 @@ def test_auto_between_stiff_stops_meets_the_closed_form():
     drive = MomentTable("A", [0.0, 5e-4, 1e-3, 1.0], [0.0, 2e3 * IMPULSE, 0.0, 0.0])
     method = choose_method(bar, Automatic(), drive, 0.06)
     run = simulate(Simulation(bar, drive=drive, duration=0.06, method=method))
-    assert named(run) == "ok" and float(run.energy_balance_error) < 5e-3
+    assert named(run) == "ok" and float(run.checks.energy_balance_error) < 5e-3
     angles, rates = np.array([between_stops(float(time)) for time in run.times[15:]]).T
-    np.testing.assert_allclose(run.angle[15:], angles, rtol=0, atol=1e-3)
+    np.testing.assert_allclose(run.motion.angle[15:], angles, rtol=0, atol=1e-3)
     # In contact the rate changes by 0.4 rad/s in 25 us.
-    np.testing.assert_allclose(run.rate[15:], rates, rtol=0, atol=0.4)
+    np.testing.assert_allclose(run.motion.rate[15:], rates, rtol=0, atol=0.4)

@@ -51,7 +51,7 @@ def test_derivatives_of_a_cycle_are_those_of_a_driven_oscillator(model):
     def place(cycle, numbers):
         deviations = dict(zip(NAMES, numbers - POINT, strict=True))
         run = cycle_run(cycle, Simulation(model, **SETTINGS), assembly_errors(model, deviations))
-        return jnp.mean(run.displacements["P"][:-1] ** 2)
+        return jnp.mean(run.motion.displacements["P"][:-1] ** 2)
 
     cycle = steady_cycle(Simulation(model, **SETTINGS), tolerance=1e-11)
     assert cycle.converged
@@ -67,7 +67,9 @@ def test_derivatives_of_a_cycle_are_those_of_a_driven_oscillator(model):
     def of_new_cycle(stiffness):
         errors = assembly_errors(model, {"slide.stiffness": stiffness})
         return np.mean(
-            np.asarray(steady_cycle(Simulation(model, **SETTINGS), errors, tolerance=1e-12).run.displacements["P"][:-1])
+            np.asarray(
+                steady_cycle(Simulation(model, **SETTINGS), errors, tolerance=1e-12).run.motion.displacements["P"][:-1]
+            )
             ** 2
         )
 

@@ -76,7 +76,7 @@ def test_every_number_of_a_description(elements):
             assembly_errors(model, deviating),
         )
         squares = [*run.metrics.mean_square_force.values(), *run.metrics.mean_square_moment.values()]
-        return jnp.stack([*squares, run.angle[-1], run.status.astype(float)])
+        return jnp.stack([*squares, run.motion.angle[-1], run.status.astype(float)])
 
     positive = np.array([".inertia." in name for name in names])
     point = nominal + np.where(positive, 1e-5, 0.0)

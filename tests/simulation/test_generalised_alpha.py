@@ -27,7 +27,8 @@ from rfem_jax import (
     simulate,
 )
 from rfem_jax.simulation import integration
-from rfem_jax.simulation.accuracy import estimate_change, loads_of_trials, prepare_trials
+from rfem_jax.simulation.accuracy import estimate_change, loads_of_trials
+from rfem_jax.simulation.stepping import Integration
 from rfem_jax.simulation.time_grid import divide_time
 from rfem_jax.validation.reference_values import read_reference
 from tests.mechanisms import link
@@ -82,12 +83,8 @@ def test_converges_to_runge_kutta_with_order_two(small, soft):
     method = GeneralisedAlpha(step=2e-3, corrections=4)
     grid, _ = integration.grid_for(small.drive, 0.02, method, 2e-3)
     steps = (4.0, 8.0, 16.0, 32.0)
-    prepared, carry = prepare_trials(soft, errors, small.drive, method)
-
-    def loads_with(count):
-        return np.asarray(loads_of_trials(soft, prepared, small.drive, carry, grid, method, jnp.asarray(count))[0])
-
-    loads = [loads_with(count) for count in steps]
+    by_steps = [Integration(soft, small.drive, grid, method, jnp.asarray(k)) for k in steps]
+    loads = [np.asarray(loads_of_trials(one, *integration.prepare_batch(one, errors))[0]) for one in by_steps]
     exact = rms(soft, simulate(Simulation(soft, **small.settings), assembly_errors(soft, ERRORS)))
     changes = np.array([np.abs(one[0].T / exact - 1.0).max() for one in loads])
     np.testing.assert_allclose(np.log2(changes[1:-1] / changes[2:]), 2.0, atol=0.3)
@@ -96,11 +93,11 @@ def test_converges_to_runge_kutta_with_order_two(small, soft):
 
 def test_balances_of_a_run(found):
     assert found.status == 0
-    assert found.closure_drift < 1e-8
-    assert found.momentum_balance_error < 1e-11
-    assert found.hinge_moment_error < 1e-4
-    assert found.solution_residual < 1e-2
-    assert found.energy_balance_error < 1e-3  # of the kinetic energy of a start-up
+    assert found.checks.closure_drift < 1e-8
+    assert found.checks.momentum_balance_error < 1e-11
+    assert found.checks.hinge_moment_error < 1e-4
+    assert found.checks.solution_residual < 1e-2
+    assert found.checks.energy_balance_error < 1e-3  # of the kinetic energy of a start-up
 
 
 @pytest.mark.slow
@@ -129,7 +126,7 @@ def test_newton_s_method_stops_at_the_tolerance(small):
         settings = {**small.settings, "method": method, "save_every": 2e-3}
         run = simulate(Simulation(small.model, **settings), assembly_errors(small.model, ERRORS))
         assert int(run.status) == 0
-        assert 1e-4 * tolerance < run.solution_residual <= tolerance
+        assert 1e-4 * tolerance < run.checks.solution_residual <= tolerance
         loads[tolerance] = rms(small.model, run)
     np.testing.assert_allclose(loads[1e-2], loads[1e-8], rtol=0.05)
 

@@ -65,11 +65,11 @@ def test_a_dataset_of_all_cases(runs):
     # The drive is a translation, the pendulum's coordinate an angle.
     np.testing.assert_allclose(found.drive_displacement.sel(translation="G")[0], [0.0, 0.005, 0.01])
     assert found.drive_force.attrs["units"] == "N" and "drive_angle" not in found
-    np.testing.assert_array_equal(found.joint_angle.sel(case="nominal", angle="A"), runs["nominal"].angles["A"])
+    np.testing.assert_array_equal(found.joint_angle.sel(case="nominal", angle="A"), runs["nominal"].motion.angles["A"])
     np.testing.assert_array_equal(found.total_energy.sel(case="tilted"), tilted.energy.total)
-    np.testing.assert_array_equal(found.link_end.sel(case="tilted", link="arm"), tilted.ends["arm"])
+    np.testing.assert_array_equal(found.link_end.sel(case="tilted", link="arm"), tilted.motion.ends["arm"])
     line = found.centre_line.sel(case="tilted", link="arm").dropna("point")
-    np.testing.assert_array_equal(line, tilted.centre_lines["arm"])
+    np.testing.assert_array_equal(line, tilted.motion.centre_lines["arm"])
     assert found.status.attrs["flag_meanings"].split()[int(found.status[0])] == "ok"
     lacking = [name for name in found.variables if name not in found.dims and not found[name].attrs.get("units")]
     assert lacking == [] and all(found[name].attrs["long_name"] for name in found.data_vars)

@@ -132,7 +132,7 @@ class TestStatus:
         study = Study("", locking(), PrescribedRate("A", -8.0), 0.1, method, 1e-2, cases)
         model, runs = run_cases(study)
         assert [STATUS[int(run.status)].name for run in runs.values()] == ["past_limit"] * 2
-        assert np.isfinite(runs["shifted"].angle[:5]).all()
+        assert np.isfinite(runs["shifted"].motion.angle[:5]).all()
         problem = Problem(
             Simulation(model, drive=study.drive, duration=0.1, method=method, save_every=1e-2), ["A.rms_force"]
         )

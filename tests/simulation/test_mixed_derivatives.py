@@ -318,7 +318,7 @@ def test_forward_reverse_and_differences_agree(made):
             assembly_errors(model, deviating),
         )
         squares = [*run.metrics.mean_square_force.values(), *run.metrics.mean_square_moment.values()]
-        ends = [x[-1] for x in (*run.angles.values(), *run.displacements.values())]
+        ends = [x[-1] for x in (*run.motion.angles.values(), *run.motion.displacements.values())]
         found = jnp.concatenate([jnp.stack([*squares, run.energy.total[-1]]), *map(jnp.ravel, ends)])
         return found, run.status
 

@@ -36,7 +36,7 @@ def test_diffrax_finds_the_motion_and_loads_of_simulate(simulation):
     motion = equations_of_motion(simulation, assembly_errors(simulation.model, TILTED))
     assert motion.jumps == (0.01,) and int(motion.status) == 0
     solution = solved(motion, 0.02, saveat=diffrax.SaveAt(ts=run.times))
-    np.testing.assert_allclose(solution.ys.position.joints[:, 0], run.angle, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(solution.ys.position.joints[:, 0], run.motion.angle, rtol=0, atol=1e-9)
     forces = jax.vmap(lambda t, y: motion.loads(t, y)["D"].force)(solution.ts, solution.ys)
     np.testing.assert_allclose(forces, run.loads["D"].force, rtol=0, atol=1e-5 * np.abs(forces).max())
     np.testing.assert_allclose(motion.preload["D"].force, run.preload["D"].force, rtol=1e-9)

@@ -88,7 +88,7 @@ def run(model, net, kind, method):
             model, drive=drive, duration=4e-3, method=METHODS[method], design=design(model, {"lower.length": 0.21})
         )
     )
-    return jnp.stack([1e-2 * found.metrics.rms_force["B"], found.angles["B"][-1]]), found.status
+    return jnp.stack([1e-2 * found.metrics.rms_force["B"], found.motion.angles["B"][-1]]), found.status
 
 
 @pytest.mark.long

@@ -23,12 +23,12 @@ def run(small):
 
 @pytest.mark.slow
 def test_ends_of_a_rigid_crank_and_of_two_links_that_meet(run):
-    direction = np.stack([np.cos(run.angle), 0.0 * run.angle, -np.sin(run.angle)], axis=1)
-    np.testing.assert_allclose(run.ends["crank"], 0.12 * direction, rtol=0, atol=1e-12)
-    assert np.ptp(run.ends["coupler"], axis=0)[2] > 1e-4  # it moves
-    np.testing.assert_allclose(run.ends["coupler"], run.ends["rocker"], rtol=0, atol=1e-9)
-    for name, line in run.centre_lines.items():
-        np.testing.assert_allclose(run.ends[name][0], line[-1], rtol=0, atol=1e-12)
+    direction = np.stack([np.cos(run.motion.angle), 0.0 * run.motion.angle, -np.sin(run.motion.angle)], axis=1)
+    np.testing.assert_allclose(run.motion.ends["crank"], 0.12 * direction, rtol=0, atol=1e-12)
+    assert np.ptp(run.motion.ends["coupler"], axis=0)[2] > 1e-4  # it moves
+    np.testing.assert_allclose(run.motion.ends["coupler"], run.motion.ends["rocker"], rtol=0, atol=1e-9)
+    for name, line in run.motion.centre_lines.items():
+        np.testing.assert_allclose(run.motion.ends[name][0], line[-1], rtol=0, atol=1e-12)
 
 
 def test_window_is_the_mean_over_its_times(run):
@@ -90,8 +90,8 @@ def test_the_two_ways_to_close_a_four_bar_are_two_branches():
 
 
 def test_a_run_stays_on_the_branch_of_its_start(run):
-    assert list(run.branch) == ["C"]
-    np.testing.assert_array_equal(run.branch["C"], -1.0)
+    assert list(run.motion.branch) == ["C"]
+    np.testing.assert_array_equal(run.motion.branch["C"], -1.0)
 
 
 def at_positions(model, coordinates):

@@ -102,9 +102,9 @@ def test_a_pulse_within_a_step_gives_its_impulse(bar, method):
     method = choose_method(bar, method, drive, DURATION, save_every=SAVE)
     run = run_of(bar, drive, method)
     assert len(run.times) == 11  # rows are no saved times
-    np.testing.assert_allclose(run.rate[-1], IMPULSE / inertia(), rtol=1e-9)
+    np.testing.assert_allclose(run.motion.rate[-1], IMPULSE / inertia(), rtol=1e-9)
     if method.name == "rk4" or getattr(method, "steps_per_row", 1) != 1:
-        assert int(run.status) == 0 and float(run.energy_balance_error) < 5e-3
+        assert int(run.status) == 0 and float(run.checks.energy_balance_error) < 5e-3
 
 
 @pytest.mark.slow
@@ -116,7 +116,7 @@ def test_an_uneven_pulse_gives_its_impulse(bar, jump):
     drive = MomentTable("A", times, moments)
     run = run_of(bar, drive, GeneralisedAlpha(step=2e-3, steps_per_row=1))
     wanted = np.trapezoid(moments, times) / inertia()
-    np.testing.assert_allclose(run.rate[-1], wanted, rtol=1e-9)
+    np.testing.assert_allclose(run.motion.rate[-1], wanted, rtol=1e-9)
 
 
 @pytest.mark.slow
@@ -127,7 +127,7 @@ def test_a_moment_at_a_point_and_a_prescribed_motion():
     pulse = PointMoment("pulse", "bar", 0.1, rows, times=TIMES)
     model = discretise(Mechanism([link("bar", 0.3)], [joint], forces=[pulse], driven_joint="A", gravity=ARM))
     run = run_of(model, None, LONG)
-    np.testing.assert_allclose(run.rate[-1], IMPULSE / inertia(), rtol=1e-9)
+    np.testing.assert_allclose(run.motion.rate[-1], IMPULSE / inertia(), rtol=1e-9)
 
     there = (0.0, 0.0201, 0.0202, 0.0203, 0.0204, 0.0205, 0.05)
     bump = PrescribedTable("A", there, (0.0, 0.0, 1e-5, 2e-5, 1e-5, 0.0, 0.0))
@@ -155,8 +155,8 @@ def test_steps_of_many_lengths_stay_smooth(bar):
     run = run_of(bar, table, LONG)
     smooth = MomentFunction("A", lambda t, phase: jnp.sin(120.0 * t))
     wanted = run_of(bar, smooth, RungeKutta4(step=1e-4))
-    np.testing.assert_allclose(run.rate, wanted.rate, rtol=0, atol=2e-3 * float(np.abs(wanted.rate).max()))
-    np.testing.assert_allclose(run.angle, wanted.angle, rtol=0, atol=2e-3 * float(np.abs(wanted.angle).max()))
+    np.testing.assert_allclose(run.motion.rate, wanted.rate, rtol=0, atol=2e-3 * float(np.abs(wanted.rate).max()))
+    np.testing.assert_allclose(run.motion.angle, wanted.angle, rtol=0, atol=2e-3 * float(np.abs(wanted.angle).max()))
     scale = float(np.abs(wanted.loads["A"].force).max())
     np.testing.assert_allclose(run.loads["A"].force, wanted.loads["A"].force, rtol=0, atol=2e-3 * scale)
 
@@ -168,7 +168,7 @@ def test_derivatives_by_the_numbers_of_a_table(bar):
 
     def rate(moments):
         traced.append(None)
-        return run_of(bar, MomentTable("A", TIMES, moments), LONG).rate[-1]
+        return run_of(bar, MomentTable("A", TIMES, moments), LONG).motion.rate[-1]
 
     compiled = jax.jit(rate)
     for factor in (1.0, 2.0):

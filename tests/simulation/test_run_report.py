@@ -21,7 +21,9 @@ def run(small):
 
 @pytest.fixture(scope="module")
 def shapes(small, run):
-    return jax.tree.map(np.asarray, trace_shapes(small.model, assembly_errors(small.model, ERRORS), run.positions))
+    return jax.tree.map(
+        np.asarray, trace_shapes(small.model, assembly_errors(small.model, ERRORS), run.motion.positions)
+    )
 
 
 def test_a_run_knows_what_was_simulated(small, run):
@@ -29,22 +31,43 @@ def test_a_run_knows_what_was_simulated(small, run):
     for kept, given in ((run.errors, wanted), (run.model, dataclasses.replace(small.model, source=None))):
         for one, other in zip(jax.tree.leaves(kept), jax.tree.leaves(given), strict=True):
             np.testing.assert_array_equal(one, other)
-    np.testing.assert_array_equal(run.positions.joints[:, 0], run.angle)
+    np.testing.assert_array_equal(run.motion.positions.joints[:, 0], run.motion.angle)
+
+
+def test_former_names_of_what_is_in_groups_work_and_warn(run):
+    """`run.angle` is `run.motion.angle` now, and so on: the former names go with the next version."""
+    former = {
+        "motion": (
+            "angle rate drive_moment drives angles displacements ends branch centre_lines nominal_lines positions"
+        ),
+        "checks": (
+            "energy_balance_error closure_drift closure_drift_angle momentum_balance_error hinge_moment_error "
+            "stabilisation_share solution_residual linear_error equation_residual design_gap"
+        ),
+    }
+    for group, names in former.items():
+        for name in names.split():
+            with pytest.warns(DeprecationWarning, match=f"run.{group}.{name}"):
+                assert getattr(run, name) is getattr(getattr(run, group), name)
+    with pytest.warns(DeprecationWarning, match=r"run\.motion"):
+        assert run.driven_joint.angle_end == run.motion.angle[-1] and run.motion.rate_end == run.motion.rate[-1]
+    with pytest.raises(AttributeError, match="no 'anlge'; it has times, loads"):
+        _ = run.anlge
 
 
 def test_lines_are_those_of_the_run_and_end_where_links_end(small, run, shapes):
     lines = np.split(shapes.points, np.cumsum([2, 4]), axis=1)
     for name, line in zip(small.model.link_names, lines, strict=True):
-        np.testing.assert_allclose(line[0], run.centre_lines[name], rtol=0, atol=1e-12)
-        np.testing.assert_allclose(line[:, -1], run.ends[name], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(line[0], run.motion.centre_lines[name], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(line[:, -1], run.motion.ends[name], rtol=0, atol=1e-12)
 
 
 def test_joints_stand_where_their_links_meet(small, run, shapes):
     at = {name: j for j, name in enumerate(small.model.topology.joints)}
     np.testing.assert_allclose(shapes.centre[:, at["A"]], 0.0, rtol=0, atol=1e-15)
     np.testing.assert_allclose(shapes.centre[:, at["D"]], np.tile([0.3, 2e-4, 0.0], (21, 1)), rtol=0, atol=1e-15)
-    np.testing.assert_allclose(shapes.centre[:, at["B"]], run.ends["crank"], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(shapes.centre[:, at["C"]], run.ends["rocker"], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(shapes.centre[:, at["B"]], run.motion.ends["crank"], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(shapes.centre[:, at["C"]], run.motion.ends["rocker"], rtol=0, atol=1e-12)
     tilt = np.array([0.0, np.cos(0.004), np.sin(0.004)])  # the axis y, tilted about x
     np.testing.assert_allclose(shapes.rotation[:, at["D"], :, 1], np.tile(tilt, (21, 1)), rtol=0, atol=1e-12)
 

@@ -27,7 +27,8 @@ from rfem_jax.simulation.equations import (
 )
 from rfem_jax.simulation.solvers.catalogue import observed_solver
 from rfem_jax.simulation.solvers.explicit import LeapfrogSolver
-from rfem_jax.simulation.stepping import stabilisation_of, vector_field
+from rfem_jax.simulation.stabilisation import stabilisation_of
+from rfem_jax.simulation.stepping import Integration, vector_field
 from rfem_jax.simulation.time_grid import divide_time
 
 ERRORS = {"D.delta_x": 4e-3, "D.d_y": 2e-4}
@@ -62,10 +63,9 @@ def test_loop_over_steps_is_diffrax_s_own_loop(small, name):
         )
     )(y)
     grid, steps = divide_time(1e-3, method.step, 1e-3, ())
-    carry = integration.start_carry(model, prepared, small.drive, method)
-    carry, _ = jax.jit(
-        lambda carry: integration.advance(model, prepared.actual, small.drive, carry, grid, method, steps, None)
-    )(carry)
+    whole = Integration(model, small.drive, grid, method, steps)
+    carry = integration.start_carry(whole, prepared)
+    carry, _ = jax.jit(lambda carry: integration.advance(whole, prepared.actual, carry))(carry)
     ours, theirs = jax.tree.leaves(carry.trajectory), jax.tree.leaves(solution[0])
     # Newton's method stops at its tolerance, 1e-8.
     atol = 1e-11 if name == "rk4" else 1e-7
@@ -148,7 +148,7 @@ def test_other_methods_agree_with_runge_kutta(small, method):
     run = simulate(Simulation(small.model, **settings), assembly_errors(small.model, ERRORS))
     exact = small.run(ERRORS)
     assert int(run.status) == 0
-    np.testing.assert_allclose(run.angle[-1], exact.angle[-1], rtol=1e-5)
+    np.testing.assert_allclose(run.motion.angle[-1], exact.angle[-1], rtol=1e-5)
     np.testing.assert_allclose(np.asarray(run.times), np.asarray(exact.times), atol=1e-15)
     for name in "ABCD":
         for kind in ("rms_force", "rms_moment", "max_normal_force"):

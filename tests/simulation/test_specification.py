@@ -167,6 +167,31 @@ def test_what_is_wrong_is_said(model, simulation):
         jax.jit(lambda model: simulate(Simulation(model, drive=drive, duration=0.01)).status)(model)
 
 
+def test_errors_of_another_mechanism_are_refused(model, simulation):
+    """Arrays of the same shape would be taken for the errors of other joints."""
+    links = {"crank": "arm", "coupler": "rod", "rocker": "lever"}
+    described = four_bar(2)
+    others = Mechanism(
+        [dataclasses.replace(link, name=links[link.name]) for link in described.links],
+        [
+            dataclasses.replace(joint, parent=links.get(joint.parent, joint.parent), child=links[joint.child])
+            for joint in described.joints
+        ],
+        driven_joint="A",
+    )
+    of_others = assembly_errors(discretise(others), {"D.delta_x": 1e-3})
+    of_three = assembly_errors(discretise(three_link_loop()), {"D.delta_x": 1e-3})
+    for errors in (of_others, of_three):
+        for call in (simulate, equations_of_motion):
+            with refused("`errors`", "same model"):
+                call(simulation, errors)
+        for longer in (None, design(model, {"crank.length": 0.12})):
+            with refused("`errors`", "coupler", "same model"):
+                assemble(model, errors, design=longer)
+    of_same = assembly_errors(discretise(four_bar(3)), {"D.delta_x": 1e-3})  # of other rfes, which have no errors
+    assert int(assemble(model, of_same).status) == 0
+
+
 def test_calls_of_the_version_before_work_and_warn(model, simulation):
     settings = {"duration": 0.01, "method": METHOD, "save_every": 1e-3}
     drive, errors = simulation.drive, assembly_errors(model, {"D.delta_x": 1e-3})
@@ -199,4 +224,4 @@ def test_cycles_of_the_version_before_work_and_warn(model):
     run = cycle_run(now, cycling)
     with pytest.warns(DeprecationWarning, match="cycle_run"):
         again = cycle_run(now, model, drive=drive, method=cycling.method, save_every=0.1)
-    np.testing.assert_array_equal(jnp.asarray(run.angle), again.angle)
+    np.testing.assert_array_equal(jnp.asarray(run.motion.angle), again.angle)

@@ -82,4 +82,4 @@ def test_simulations_confirm_the_limit(small, method="rk4"):
         settings["method"] = replace(named_method(method, step=1e-6), step=share * limit)
         states.append(simulate(Simulation(small.model, **settings), errors))
     assert int(states[0].status) == 0
-    assert int(states[1].status) != 0 or float(states[1].energy_balance_error) > 1.0
+    assert int(states[1].status) != 0 or float(states[1].checks.energy_balance_error) > 1.0

@@ -89,26 +89,26 @@ class TestWithoutADrive:
         settings = {"duration": 0.1, "method": RungeKutta4(step=2e-3), "save_every": 0.1}
         run = simulate(Simulation(model, drive=None, **settings))
         assert int(run.status) == 0
-        np.testing.assert_allclose(run.angles["A"][0], -np.pi / 2, rtol=0, atol=1e-14)
+        np.testing.assert_allclose(run.motion.angles["A"][0], -np.pi / 2, rtol=0, atol=1e-14)
         forces = {name: float(jnp.linalg.norm(run.loads[name].force[0])) for name in "ABCD"}
         assert forces == pytest.approx({"A": 18.218, "B": 8.513, "C": 12.121, "D": 22.030}, abs=6e-4)
-        assert float(run.energy_balance_error) < 1e-9 and float(run.energy.kinetic[-1]) > 0.1
+        assert float(run.checks.energy_balance_error) < 1e-9 and float(run.energy.kinetic[-1]) > 0.1
         # A moment drive that gives nothing is the same mechanism: it always held what it drives.
         driven = discretise(dataclasses.replace(falling(), driven_joint="A"))
         other = simulate(Simulation(driven, drive=MomentTable("A", [0.0, 1.0], [0.0, 0.0]), **settings))
-        np.testing.assert_allclose(run.angles["D"], other.angles["D"], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(run.motion.angles["D"], other.angles["D"], rtol=0, atol=1e-12)
 
     @pytest.mark.slow
     def test_an_equilibrium_is_there_for_who_asks(self):
         model = discretise(falling())
         run = simulate(Simulation(model, drive=None, duration=0.01, method=RungeKutta4(step=5e-3), start="equilibrium"))
-        np.testing.assert_allclose(run.angles["A"], np.radians(-117.3), rtol=0, atol=2e-3)
+        np.testing.assert_allclose(run.motion.angles["A"], np.radians(-117.3), rtol=0, atol=2e-3)
         assert float(run.energy.kinetic[-1]) < 1e-20
         same = discretise(dataclasses.replace(falling(), start="equilibrium"))
         other = simulate(Simulation(same, drive=None, duration=0.01, method=RungeKutta4(step=5e-3)))
-        np.testing.assert_array_equal(run.angles["A"], other.angles["A"])
+        np.testing.assert_array_equal(run.motion.angles["A"], other.angles["A"])
         back = simulate(Simulation(same, drive=None, duration=0.01, method=RungeKutta4(step=5e-3), start="as_given"))
-        np.testing.assert_allclose(back.angles["A"][0], -np.pi / 2, rtol=0, atol=1e-14)
+        np.testing.assert_allclose(back.motion.angles["A"][0], -np.pi / 2, rtol=0, atol=1e-14)
 
     @pytest.mark.slow
     def test_a_flexible_bar_sags_and_is_let_go(self):
@@ -125,7 +125,7 @@ class TestWithoutADrive:
         run = simulate(Simulation(model, drive=None, duration=1e-3, method=IMPLICIT, save_every=1e-3))
         np.testing.assert_allclose(run.preload["A"].moment, made.preload["A"].moment, rtol=1e-12)
         assert abs(float(run.loads["A"].moment[0, 1])) < 1e-9 * weight * length
-        np.testing.assert_allclose(run.angles["A"][0], 0.0, atol=1e-15)
+        np.testing.assert_allclose(run.motion.angles["A"][0], 0.0, atol=1e-15)
         rigid = discretise(Mechanism([link("bar", length)], [Joint("A", "base", "bar", angle=0.0)]))
         run = simulate(Simulation(rigid, drive=None, duration=1e-3, method=IMPLICIT, save_every=1e-3))
         np.testing.assert_allclose(np.linalg.norm(run.loads["A"].force[0]), 0.25 * weight, rtol=1e-3)
@@ -136,8 +136,8 @@ class TestWithoutADrive:
         mechanism = Mechanism([link("bar", 0.5)], [Joint("A", "base", "bar", angle=0.3)], forces=[spring])
         model = discretise(mechanism)
         settings = {"drive": None, "duration": 2e-3, "method": IMPLICIT, "save_every": 1e-3}
-        assert float(simulate(Simulation(model, **settings)).angles["A"][0]) == 0.3
-        resting = simulate(Simulation(model, start="equilibrium", **settings)).angles["A"]
+        assert float(simulate(Simulation(model, **settings)).motion.angles["A"][0]) == 0.3
+        resting = simulate(Simulation(model, start="equilibrium", **settings)).motion.angles["A"]
         torque = 7850.0 * 1e-4 * 0.5 * 9.81 * 0.25
         np.testing.assert_allclose(50.0 * resting, torque * np.cos(resting), rtol=1e-6)
         # None of `assemble` still finds the equilibrium of what no drive holds.
@@ -155,9 +155,9 @@ class TestWithoutADrive:
         settings = {"duration": 2e-3, "method": IMPLICIT, "save_every": 1e-3}
         for drive in (MomentTable("A", [0.0, 1.0], [0.0, 0.0]), PrescribedRate("A", 0.5)):
             run = simulate(Simulation(model, drive=drive, **settings))
-            assert float(run.angles["B"][0]) == pytest.approx(0.4, abs=1e-14)
+            assert float(run.motion.angles["B"][0]) == pytest.approx(0.4, abs=1e-14)
         settled = simulate(Simulation(model, drive=drive, start="equilibrium", **settings))
-        assert float(settled.angles["B"][0]) == pytest.approx(np.pi / 2 - 0.2, abs=1e-9)
+        assert float(settled.motion.angles["B"][0]) == pytest.approx(np.pi / 2 - 0.2, abs=1e-9)
 
 
 class TestWhatIsHeld:
@@ -190,10 +190,12 @@ class TestWhatIsHeld:
         assert held(mechanism) == (turns if kind == "spherical" else ("S.T_x", "S.T_y", "S.T_z", *turns))
         run = simulate(Simulation(discretise(mechanism), drive=None, duration=2e-3, method=RungeKutta4(step=1e-3)))
         assert int(run.status) == 0
-        np.testing.assert_allclose(run.angles["S"][0], start[-3:], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(run.motion.angles["S"][0], start[-3:], rtol=0, atol=1e-12)
         if kind == "free":
             np.testing.assert_allclose(run.loads["S"].force, 0.0, atol=1e-12)
-            np.testing.assert_allclose(run.displacements["S"][-1], [0.1, 0.2, 0.3 - 0.5 * 9.81 * 4e-6], atol=1e-9)
+            np.testing.assert_allclose(
+                run.motion.displacements["S"][-1], [0.1, 0.2, 0.3 - 0.5 * 9.81 * 4e-6], atol=1e-9
+            )
 
     @pytest.mark.long
     def test_an_idle_rod_is_held_with_the_rest(self):
@@ -262,10 +264,10 @@ class TestRates:
         """Rates of a falling four-bar by the rate of its crank: those of the closure equations, at every joint."""
         model = discretise(falling(rate=2.0))
         run = simulate(Simulation(model, drive=None, duration=0.02, method=RungeKutta4(step=1e-3), save_every=1e-3))
-        assert int(run.status) == 0 and float(run.energy_balance_error) < 1e-9
+        assert int(run.status) == 0 and float(run.checks.energy_balance_error) < 1e-9
         prepared = integration.prepare(model, assembly_errors(model), None, None)
         rates = np.asarray(prepared.state.velocity.joints)
-        later = {name: np.asarray(run.angles[name]) for name in "ADB"}
+        later = {name: np.asarray(run.motion.angles[name]) for name in "ADB"}
         order = [model.topology.joints.index(name) for name in "ADB"]
         for name, k in zip("ADB", order, strict=True):
             h, x = 1e-3, later[name]
@@ -299,12 +301,12 @@ class TestRates:
         run = simulate(Simulation(model, drive=None, duration=0.2, method=RungeKutta4(step=0.1), save_every=0.1))
         t = np.asarray(run.times)
         expected = np.stack([t, 0.0 * t, 1.0 + 2.0 * t - 0.5 * 9.81 * t**2], axis=1)
-        np.testing.assert_allclose(run.displacements["F"], expected, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(run.motion.displacements["F"], expected, rtol=0, atol=1e-12)
         assert float(run.energy.kinetic[0]) == pytest.approx(0.25 * 5.0 + 0.5e-3 * (4.0 * np.pi**2 + 1.0))
         slide = Joint("G", "base", "ball", kind="prismatic", displacement=0.1, speed="0.5 m/s")
         model = discretise(Mechanism([body], [slide]))
         run = simulate(Simulation(model, drive=None, duration=0.2, method=RungeKutta4(step=0.1), save_every=0.1))
-        np.testing.assert_allclose(run.displacements["G"], 0.1 + 0.5 * t, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(run.motion.displacements["G"], 0.1 + 0.5 * t, rtol=0, atol=1e-12)
 
     def test_beside_a_moment(self):
         """A flywheel that turns already when its moment begins."""
@@ -312,7 +314,7 @@ class TestRates:
         model = discretise(Mechanism([wheel], [Joint("A", "base", "wheel", rate=3.0)], driven_joint="A"))
         drive = MomentTable("A", [0.0, 1.0], [0.4, 0.4])
         run = simulate(Simulation(model, drive=drive, duration=0.1, method=RungeKutta4(step=0.05), save_every=0.05))
-        np.testing.assert_allclose(run.rate, 3.0 + 2.0 * np.asarray(run.times), rtol=1e-12)
+        np.testing.assert_allclose(run.motion.rate, 3.0 + 2.0 * np.asarray(run.times), rtol=1e-12)
         with pytest.raises(InputError, match=r"must not prescribe .* initial rate.*leave out the rate"):
             simulate(Simulation(model, drive=PrescribedRate("A", 1.0), duration=0.1, method=RungeKutta4(step=0.05)))
 
@@ -381,7 +383,9 @@ def ends(model, names, numbers):
             Simulation(model, drive=None, duration=1e-3, method=IMPLICIT, save_every=1e-3, design=wanted), errors
         )
         loads = [run.loads[name].force[-1] for name in model.joint_names]
-        return jnp.concatenate([*loads, run.preload["D"].moment, jnp.stack([run.angles[name][-1] for name in "ABD"])])
+        return jnp.concatenate(
+            [*loads, run.preload["D"].moment, jnp.stack([run.motion.angles[name][-1] for name in "ABD"])]
+        )
 
     return function
 
@@ -430,7 +434,7 @@ def test_point_masses_hang_where_they_are_told():
     bob = Link("bob", 0.4, body=RigidBody(0.01, (0.2, 0, 0), (1e-6, 1e-4, 1e-4)), point_masses=[PointMass(1.0, 0.4)])
     model = discretise(Mechanism([bob], [Joint("U", "base", "bob", kind="universal", start=(0.4, 0.2))]))
     run = simulate(Simulation(model, drive=None, duration=2e-3, method=RungeKutta4(step=1e-3), save_every=1e-3))
-    np.testing.assert_allclose(run.angles["U"][0], [0.4, 0.2], atol=1e-14)
+    np.testing.assert_allclose(run.motion.angles["U"][0], [0.4, 0.2], atol=1e-14)
 
 
 FILE = f"""
@@ -466,7 +470,7 @@ class TestStudyFiles:
         for kind, (changes, angle, undriven) in wanted.items():
             study = self.study(tmp_path, *changes)
             model, runs = run_cases(study)
-            np.testing.assert_allclose(runs["nominal"].angles["A"][0], angle, rtol=1e-9)
+            np.testing.assert_allclose(runs["nominal"].motion.angles["A"][0], angle, rtol=1e-9)
             summaries = summarise(study, runs, {"nominal": ("ok", "")})
             write_files(tmp_path, study, runs, summaries, start_of(runs))
             written = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))["start"]

@@ -185,8 +185,8 @@ def test_rigid_chain_by_an_implicit_method():
         for name in ("generalised_alpha", "rk4")
     ]
     assert [int(run.status) for run in runs] == [0, 0]
-    assert abs(float(runs[1].angle[-1]) - 0.3) > 1e-3
-    np.testing.assert_allclose(runs[0].angle[-1], runs[1].angle[-1], atol=1e-4)
+    assert abs(float(runs[1].motion.angle[-1]) - 0.3) > 1e-3
+    np.testing.assert_allclose(runs[0].motion.angle[-1], runs[1].motion.angle[-1], atol=1e-4)
 
 
 def test_given_forces_are_no_arguments_of_the_program_of_the_masses(monkeypatch):

@@ -49,7 +49,7 @@ class TestSingleImpact:
                     model, drive=None, duration=duration, method=method, save_every=duration, start=thrown(model, speed)
                 )
             )
-            return run.status, run.energy.kinetic[-1], run.energy_balance_error
+            return run.status, run.energy.kinetic[-1], run.checks.energy_balance_error
 
         statuses, kinetic, balances = jax.jit(jax.vmap(of_speed))(jnp.array([SPEED, 0.2]))
         assert [STATUS[int(one)].name for one in statuses] == [status, "ok"]
@@ -72,7 +72,7 @@ class TestSingleImpact:
             return (
                 run.status,
                 run.energy.kinetic[-1],
-                run.energy_balance_error,
+                run.checks.energy_balance_error,
                 run.contact_changes,
                 (run.contact_losses["P"], run.energy.dissipation),
             )
@@ -188,7 +188,7 @@ def test_a_pressed_pin_moves_as_an_ideal_hinge(pressed):
     assert (np.asarray(run.contacts["D"].penetration)[:, :2] > 0.0).all()
     assert float(run.contact_changes) == 0.0
     np.testing.assert_allclose(run.metrics.rms_force["D"], ideal.metrics.rms_force["D"], rtol=5e-3)
-    assert float(run.momentum_balance_error) < 1e-7 and float(run.hinge_moment_error) < 1e-5
+    assert float(run.checks.momentum_balance_error) < 1e-7 and float(run.checks.hinge_moment_error) < 1e-5
 
 
 @pytest.mark.long

@@ -159,11 +159,11 @@ class TestFourBarOnBushings:
         for joint, (force, moment) in RMS.items():
             np.testing.assert_allclose(run.metrics.rms_force[joint], force, rtol=2e-6)
             np.testing.assert_allclose(run.metrics.rms_moment[joint], moment, rtol=1e-9)
-        np.testing.assert_allclose(run.angle[2], -0.877416583055, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(run.motion.angle[2], -0.877416583055, rtol=0, atol=1e-9)
         np.testing.assert_allclose(run.energy.kinetic[2], 0.859134737515, rtol=1e-8)
         np.testing.assert_allclose(run.energy.elastic[2], 0.0557100668558, rtol=1e-8)
         np.testing.assert_allclose(run.energy.work[2], 0.818895982528, rtol=1e-8)
-        for part in (run.energy_balance_error, run.momentum_balance_error, run.hinge_moment_error):
+        for part in (run.checks.energy_balance_error, run.checks.momentum_balance_error, run.checks.hinge_moment_error):
             assert float(part) < 1e-7
 
     @pytest.mark.slow
@@ -173,10 +173,10 @@ class TestFourBarOnBushings:
         assert largest_stable_step(model, RungeKutta4(step=1e-6)) < 6e-6
         method = GeneralisedAlpha(step=1e-3, corrections=4, spectral_radius=0.3)
         run = simulate(Simulation(model, drive=MomentRamp("A", 1.5, 0.1), duration=0.1, method=method, save_every=0.05))
-        assert int(run.status) == 0 and float(run.solution_residual) < 1e-6
-        assert float(run.rate[-1]) > 25.0 and float(run.momentum_balance_error) < 1e-6
+        assert int(run.status) == 0 and float(run.checks.solution_residual) < 1e-6
+        assert float(run.motion.rate[-1]) > 25.0 and float(run.checks.momentum_balance_error) < 1e-6
         # The links move as with ideal joints: the coupler keeps its length.
-        crank, rocker = np.asarray(run.angle), np.asarray(run.angles["D"])
+        crank, rocker = np.asarray(run.motion.angle), np.asarray(run.motion.angles["D"])
         across = 0.3 + 0.3 * np.cos(rocker) - 0.12 * np.cos(crank), 0.12 * np.sin(crank) - 0.3 * np.sin(rocker)
         np.testing.assert_allclose(np.hypot(*across), 0.3, rtol=0, atol=1e-6)
 
@@ -324,10 +324,10 @@ class TestDrives:
         method = RungeKutta4(step=2e-5)
         run = simulate(Simulation(model, drive=PrescribedRate("A", 20.0), duration=0.1, method=method, save_every=0.05))
         assert int(run.status) == 0
-        np.testing.assert_allclose(run.angle, 20.0 * np.asarray(run.times), rtol=1e-9)
+        np.testing.assert_allclose(run.motion.angle, 20.0 * np.asarray(run.times), rtol=1e-9)
         force = 0.157 * 20.0**2 * 0.1 / (1.0 - 0.157 * 20.0**2 / 1e5)
         np.testing.assert_allclose(run.loads["A"].force[-1], [-force, 0.0, 0.0], rtol=1e-6, atol=1e-4)
-        assert float(run.hinge_moment_error) < 1e-9 and float(run.momentum_balance_error) < 1e-9
+        assert float(run.checks.hinge_moment_error) < 1e-9 and float(run.checks.momentum_balance_error) < 1e-9
 
     def test_a_prescribed_angle_of_a_joint_whose_tilt_is_sprung_is_refused(self):
         joints = [Joint("A", "base", "arm", compliance=Compliance(tilt=1e4))]

@@ -67,8 +67,8 @@ def runs(request, model):
 
 def quantities(run):
     return {
-        "angle": run.angle,
-        "rate": run.rate,
+        "angle": run.motion.angle,
+        "rate": run.motion.rate,
         "force": run.loads["A"].force,
         "moment": run.loads["A"].moment,
         "mean square force": run.metrics.mean_square_force["A"],
@@ -90,7 +90,7 @@ def test_halving_the_step_divides_the_error_by_two_to_the_order(runs):
 
 def test_energy_balance_falls_with_the_order(runs):
     order, results = runs
-    errors = [run.energy_balance_error for run in results]
+    errors = [run.checks.energy_balance_error for run in results]
     assert np.log2(errors[0] / errors[1]) > order - 0.35
     assert np.log2(errors[1] / errors[2]) > order - 0.35
     assert results[0].energy.dissipation[-1] > 0.01 * np.abs(results[0].energy.total).max()

@@ -66,17 +66,17 @@ class TestForceOnASlide:
         rising, speed = np.minimum(t, self.RISE), 0.5 * self.FORCE * self.RISE / self.MASS
         x = self.START + self.FORCE * rising**3 / (6.0 * self.MASS * self.RISE) + speed * (t - rising)
         v = 0.5 * self.FORCE * rising**2 / (self.RISE * self.MASS)
-        np.testing.assert_allclose(run.displacements["G"], x, rtol=0, atol=accuracy)
-        history = run.drives["G"]
-        np.testing.assert_array_equal(history.position, run.displacements["G"])
+        np.testing.assert_allclose(run.motion.displacements["G"], x, rtol=0, atol=accuracy)
+        history = run.motion.drives["G"]
+        np.testing.assert_array_equal(history.position, run.motion.displacements["G"])
         np.testing.assert_allclose(history.rate, v, rtol=0, atol=10.0 * accuracy)
         np.testing.assert_allclose(history.force[:5], self.FORCE * t[:5] / self.RISE, rtol=1e-12)
         assert float(history.force[-1]) == 0.0
         # A given force acts from outside: no load along the guide.
         np.testing.assert_allclose(run.loads["G"].force[:, 0], 0.0, atol=1e-9)
         np.testing.assert_allclose(run.energy.work, 0.5 * self.MASS * v**2, rtol=0, atol=10.0 * accuracy)
-        assert float(run.energy_balance_error) < 1e-5 and float(run.momentum_balance_error) < 1e-9
-        assert float(run.hinge_moment_error) < 1e-9
+        assert float(run.checks.energy_balance_error) < 1e-5 and float(run.checks.momentum_balance_error) < 1e-9
+        assert float(run.checks.hinge_moment_error) < 1e-9
 
     def test_assembly_holds_the_slide(self):
         """On a guide that slopes down by 0.3 rad, the holding force is part of the preload."""
@@ -136,15 +136,15 @@ class TestSliderCrank:
         drive = PrescribedFunction("G", lambda t: slide(self.START + RATE * t) - slide(self.START))
         run = simulate(Simulation(model, drive=drive, **SETTINGS))
         assert int(run.status) == 0
-        np.testing.assert_allclose(run.angles["A"], self.START + RATE * np.asarray(run.times), rtol=0, atol=1e-8)
+        np.testing.assert_allclose(run.motion.angles["A"], self.START + RATE * np.asarray(run.times), rtol=0, atol=1e-8)
         # Both drives do the same work: F x' = M omega.
-        force = np.asarray(by_crank.drive_moment) * RATE / self.speed(run.times)
-        np.testing.assert_allclose(run.drives["G"].force, force, rtol=1e-6, atol=1e-6 * np.abs(force).max())
+        force = np.asarray(by_crank.motion.drive_moment) * RATE / self.speed(run.times)
+        np.testing.assert_allclose(run.motion.drives["G"].force, force, rtol=1e-6, atol=1e-6 * np.abs(force).max())
         # What enforces a motion is inside the joint's load.
-        np.testing.assert_allclose(run.loads["G"].force[:, 0], run.drives["G"].force, rtol=1e-12)
+        np.testing.assert_allclose(run.loads["G"].force[:, 0], run.motion.drives["G"].force, rtol=1e-12)
         np.testing.assert_allclose(run.loads["A"].moment[:, 1], 0.0, atol=1e-8)
         np.testing.assert_allclose(run.energy.work, by_crank.energy.work, rtol=0, atol=1e-6)
-        assert float(run.energy_balance_error) < 1e-7 and float(run.momentum_balance_error) < 1e-10
+        assert float(run.checks.energy_balance_error) < 1e-7 and float(run.checks.momentum_balance_error) < 1e-10
 
     @pytest.mark.slow
     def test_a_force_on_the_slider_of_a_driven_crank(self, by_crank):
@@ -158,11 +158,11 @@ class TestSliderCrank:
         assert int(run.status) == 0
         times = np.asarray(run.times)
         force = np.where(times <= 3e-3 + 1e-9, -50.0 + 150.0 * times / 3e-3, 20.0)
-        np.testing.assert_allclose(run.drives["G"].force, force, rtol=0, atol=1e-9)
-        change = np.asarray(run.drives["A"].force) - np.asarray(by_crank.drive_moment)
+        np.testing.assert_allclose(run.motion.drives["G"].force, force, rtol=0, atol=1e-9)
+        change = np.asarray(run.motion.drives["A"].force) - np.asarray(by_crank.motion.drive_moment)
         np.testing.assert_allclose(change, -force * self.speed(times) / RATE, rtol=0, atol=1e-6)
         np.testing.assert_allclose(run.loads["G"].force[:, 0], 0.0, atol=1e-7)
-        assert float(run.energy_balance_error) < 1e-6 and float(run.momentum_balance_error) < 1e-10
+        assert float(run.checks.energy_balance_error) < 1e-6 and float(run.checks.momentum_balance_error) < 1e-10
 
     def test_dependent_motions_are_not_both_prescribed(self):
         model = slider_crank(["A", "G"], self.START)
@@ -250,16 +250,16 @@ class TestArm:
         assert int(run.status) == 0
         times = jnp.asarray(run.times)
         accuracy = 1e-9 if method is EXPLICIT else 1e-5
-        np.testing.assert_allclose(run.angles["R"], jax.vmap(Arm.angle)(times), rtol=0, atol=accuracy)
-        np.testing.assert_allclose(run.displacements["P"], jax.vmap(Arm.reach)(times), rtol=0, atol=accuracy)
+        np.testing.assert_allclose(run.motion.angles["R"], jax.vmap(Arm.angle)(times), rtol=0, atol=accuracy)
+        np.testing.assert_allclose(run.motion.displacements["P"], jax.vmap(Arm.reach)(times), rtol=0, atol=accuracy)
         moments, forces = jax.vmap(Arm.forces)(times)
         accuracy = 1e-7 if method is EXPLICIT else 1e-3
-        np.testing.assert_allclose(run.drives["R"].force, moments, rtol=0, atol=accuracy)
-        np.testing.assert_allclose(run.drives["P"].force, forces, rtol=0, atol=accuracy)
+        np.testing.assert_allclose(run.motion.drives["R"].force, moments, rtol=0, atol=accuracy)
+        np.testing.assert_allclose(run.motion.drives["P"].force, forces, rtol=0, atol=accuracy)
         inside = forces if drives[0] is SLIDE else 0.0 * forces
         np.testing.assert_allclose(run.loads["P"].force[:, 0], inside, rtol=0, atol=accuracy)
-        assert float(run.energy_balance_error) < (1e-7 if method is EXPLICIT else 1e-4)
-        assert float(run.momentum_balance_error) < 1e-9
+        assert float(run.checks.energy_balance_error) < (1e-7 if method is EXPLICIT else 1e-4)
+        assert float(run.checks.momentum_balance_error) < 1e-9
 
     @pytest.mark.slow
     def test_derivatives_by_numbers_of_both_drives(self):
@@ -270,7 +270,9 @@ class TestArm:
             run = simulate(
                 Simulation(Arm.model(), drive=drives, duration=0.02, save_every=5e-3, method=RungeKutta4(step=1e-3))
             )
-            return jnp.stack([run.displacements["P"][-1], run.metrics.mean_square_moment["R"], run.energy.work[-1]])
+            return jnp.stack(
+                [run.motion.displacements["P"][-1], run.metrics.mean_square_moment["R"], run.energy.work[-1]]
+            )
 
         at = jnp.asarray([3.0, 20.0])
         forward, backward = jax.jacfwd(end)(at), jax.jacrev(end)(at)

@@ -69,9 +69,9 @@ def errors(run):
     assert int(run.status) == 0
     times = np.asarray(run.times)
     rotation, place = closed_form(times)
-    angles = np.asarray(run.angles["O"])
+    angles = np.asarray(run.motion.angles["O"])
     found = Rotation.from_euler("xyz", angles)
-    return (found * rotation.inv()).magnitude().max(), np.abs(run.displacements["O"] - place).max(), angles[:, 1]
+    return (found * rotation.inv()).magnitude().max(), np.abs(run.motion.displacements["O"] - place).max(), angles[:, 1]
 
 
 @pytest.mark.slow

@@ -98,9 +98,9 @@ class TestFlywheel:
         np.testing.assert_allclose(run.friction_losses["bearing"], run.energy.dissipation, rtol=1e-12)
         moment = -self.CONSTANT * np.tanh(rate / self.SLIDING) - self.VISCOUS * rate
         np.testing.assert_allclose(run.loads["G"].moment[np.array(given), 1], moment, rtol=0, atol=tolerance)
-        assert float(run.energy_balance_error) < tolerance and float(run.hinge_moment_error) < 1e-6
+        assert float(run.checks.energy_balance_error) < tolerance and float(run.checks.hinge_moment_error) < 1e-6
         if not cut:
-            np.testing.assert_allclose(run.angles["G"][np.array(given)], self.ANGLE, rtol=0, atol=10 * tolerance)
+            np.testing.assert_allclose(run.motion.angles["G"][np.array(given)], self.ANGLE, rtol=0, atol=10 * tolerance)
         # The numbers are inputs of the same program: linear, and exponential, in time.
         times = np.asarray(run.times)
         falling = 30.0 - self.CONSTANT / self.INERTIA * times[:8]
@@ -128,8 +128,8 @@ class TestFlywheel:
         settings = {"duration": 0.2, "method": RK4, "save_every": 0.1, "start": with_rates(model)}
         run = simulate(Simulation(model, drive=PrescribedRate("G", 3.0), **settings))
         np.testing.assert_allclose(run.loads["G"].moment[:, 1], 0.0, atol=1e-9)
-        np.testing.assert_allclose(run.drive_moment, self.CONSTANT + 3.0 * self.VISCOUS, rtol=1e-9)
-        assert float(run.energy_balance_error) < 1e-9
+        np.testing.assert_allclose(run.motion.drive_moment, self.CONSTANT + 3.0 * self.VISCOUS, rtol=1e-9)
+        assert float(run.checks.energy_balance_error) < 1e-9
 
 
 class TestRotorOnSprings:
@@ -159,7 +159,7 @@ class TestRotorOnSprings:
         np.testing.assert_allclose(run.energy.kinetic, 0.5 * self.INERTIA * rate**2, rtol=1e-6)
         np.testing.assert_allclose(run.energy.elastic, 0.5 * (self.MASS * 9.81) ** 2 / self.STIFFNESS, rtol=1e-6)
         np.testing.assert_allclose(run.friction_losses["bearing"], 0.5 * self.INERTIA * (900.0 - rate**2), rtol=1e-4)
-        assert float(run.energy_balance_error) < 1e-4 and float(run.hinge_moment_error) < 1e-6
+        assert float(run.checks.energy_balance_error) < 1e-4 and float(run.checks.hinge_moment_error) < 1e-6
 
     def springs(self):
         return Compliance(radial=self.STIFFNESS, radial_damping=50.0)
@@ -191,13 +191,15 @@ class TestInclinedGuide:
         force = self.COEFFICIENT * normal
         acceleration = 9.81 * np.sin(self.SLOPE) - force / (self.MASS + 1e-10)
         along = self.START * run.times + 0.5 * acceleration * run.times**2
-        found, derivative = ((x.displacements["F"][:, 0] if cut else x.displacements["G"]) for x in (run, change))
+        found, derivative = (
+            (x.motion.displacements["F"][:, 0] if cut else x.motion.displacements["G"]) for x in (run, change)
+        )
         np.testing.assert_allclose(found, along, rtol=1e-7, atol=1e-12)
         by_coefficient = -0.5 * normal / (self.MASS + 1e-10) * run.times**2
         np.testing.assert_allclose(derivative, by_coefficient, rtol=1e-6, atol=1e-12)
         np.testing.assert_allclose(run.loads["G"].force[:, 0], -force, rtol=1e-7)
         np.testing.assert_allclose(run.friction_losses["shoe"], force * along, rtol=1e-6)
-        assert float(run.energy_balance_error) < 1e-7 and float(run.momentum_balance_error) < 1e-9
+        assert float(run.checks.energy_balance_error) < 1e-7 and float(run.checks.momentum_balance_error) < 1e-9
 
 
 class TestFromRest:
@@ -217,7 +219,7 @@ class TestFromRest:
         """The run, and the path at the start, after 0.05 s and after 0.1 s."""
         settings = {"duration": 0.1, "method": GeneralisedAlpha(step=step), "save_every": 0.05}
         run = simulate(Simulation(model, drive=None, start=with_rates(model), **settings))
-        return run, (run.displacements["F"][:, 0] if model.topology.n_cuts else run.displacements["G"])
+        return run, (run.motion.displacements["F"][:, 0] if model.topology.n_cuts else run.motion.displacements["G"])
 
     @pytest.mark.slow
     @in_tree_or_cut
@@ -229,7 +231,7 @@ class TestFromRest:
         np.testing.assert_allclose(path, along, rtol=1e-4)
         np.testing.assert_allclose(run.loads["G"].force[:, 0], [0.0, -friction, -friction], rtol=1e-6)
         np.testing.assert_allclose(run.friction_losses["shoe"], friction * along, rtol=1e-4)
-        assert float(run.energy_balance_error) < 1e-6 and float(run.hinge_moment_error) < 1e-6
+        assert float(run.checks.energy_balance_error) < 1e-6 and float(run.checks.hinge_moment_error) < 1e-6
 
     @pytest.mark.slow
     @in_tree_or_cut
@@ -237,7 +239,7 @@ class TestFromRest:
     def test_it_binds(self, cut, more):
         """It creeps at the rate at which friction holds the push."""
         run, path = self.run(self.made(cut, 0.21, **more))
-        assert int(run.status) == 0 and float(run.solution_residual) < 1e-4
+        assert int(run.status) == 0 and float(run.checks.solution_residual) < 1e-4
         most = 2.0 * 0.21 / self.LENGTH
         creep = np.arctanh(1.0 / (self.COEFFICIENT * most))
         if more:
@@ -335,7 +337,7 @@ class TestPendulum:
             method = GeneralisedAlpha(step=1e-3, tolerance=1e-12, corrections=12)
             settings = {"duration": self.DURATION, "method": method, "save_every": self.DURATION / 4}
             run = simulate(Simulation(made, drive=None, start=start, **settings))
-            ends = run.angles["G"][-1], run.energy.kinetic[-1], run.friction_losses["pin"][-1]
+            ends = run.motion.angles["G"][-1], run.energy.kinetic[-1], run.friction_losses["pin"][-1]
             return jnp.stack(ends), run
 
         return run
@@ -347,7 +349,7 @@ class TestPendulum:
         (values, run), (change, run_change) = jax.jvp(end, (at,), (along,))
         assert int(run.status) == 0 and float(values[2]) > 0.05
         np.testing.assert_allclose(values, self.reference(self.NUMBERS), rtol=0, atol=3e-5)
-        assert float(run.momentum_balance_error) < 1e-9
+        assert float(run.checks.momentum_balance_error) < 1e-9
         assert float(derivative_residual(run_change)) < 1e-7
         weights = jnp.array([1.0, 20.0, -30.0])
         gradient = jax.grad(lambda numbers: weights @ end(numbers)[0])(at)
@@ -413,13 +415,13 @@ class TestRigidFourBar:
         model, start = self.model(by_hinge)
         run = simulate(Simulation(model, drive=None, start=start, duration=0.1, method=method, save_every=0.05))
         assert int(run.status) == 0
-        np.testing.assert_allclose(run.angles["A"][-1], angle, rtol=1e-6)
+        np.testing.assert_allclose(run.motion.angles["A"][-1], angle, rtol=1e-6)
         found = [run.loads[joint].moment[-1, 1] for joint in "ABCD"]
         np.testing.assert_allclose(found, moments, rtol=0, atol=1e-6 * max(np.abs(moments)))
         found = [np.linalg.norm(run.loads[joint].force[-1]) for joint in "ABCD"]
         np.testing.assert_allclose(found, [np.hypot(*force) for force in forces], rtol=0, atol=1e-6 * 11.3)
-        assert float(run.momentum_balance_error) < 1e-9 and float(run.hinge_moment_error) < 1e-6
-        assert float(run.energy_balance_error) < 1e-6
+        assert float(run.checks.momentum_balance_error) < 1e-9 and float(run.checks.hinge_moment_error) < 1e-6
+        assert float(run.checks.energy_balance_error) < 1e-6
         total = sum(run.friction_losses.values())
         np.testing.assert_allclose(total, run.energy.dissipation, rtol=1e-12)
 
@@ -455,5 +457,5 @@ def test_flexible_four_bar_with_errors():
     moments = [run.loads[joint].moment[-1, 1] for joint in "ABCD"]
     expected = -0.0548543646635, 0.0355678261544, -0.0150611418622, -0.018506884172
     np.testing.assert_allclose(moments, expected, rtol=0, atol=2e-3 * 0.055)
-    np.testing.assert_allclose(run.angle[-1], -0.894442235188, rtol=1e-4)
-    assert float(run.energy_balance_error) < 1e-3
+    np.testing.assert_allclose(run.motion.angle[-1], -0.894442235188, rtol=1e-4)
+    assert float(run.checks.energy_balance_error) < 1e-3

@@ -76,7 +76,7 @@ class TestOscillator:
         run = released(slider(SPRING), duration=0.4, method=method, save_every=0.1)
         assert int(run.status) == 0
         x, v = oscillation(np.asarray(run.times))
-        np.testing.assert_allclose(run.displacements["G"], x, rtol=0, atol=2e-7)
+        np.testing.assert_allclose(run.motion.displacements["G"], x, rtol=0, atol=2e-7)
         # The spring and the damper are inside the joint: their force is its load along the guide.
         force = PRELOAD - STIFFNESS * (x - REST) - DAMPING * v
         np.testing.assert_allclose(run.loads["G"].force[:, 0], force, rtol=0, atol=1e-4)
@@ -84,8 +84,8 @@ class TestOscillator:
         np.testing.assert_allclose(run.energy.elastic, energy, rtol=0, atol=1e-5)
         lost = energy[0] - energy - 0.5 * MASS * v**2
         np.testing.assert_allclose(run.energy.dissipation, lost, rtol=0, atol=1e-5)
-        assert float(run.hinge_moment_error) < 1e-6
-        assert float(run.momentum_balance_error) < 1e-6
+        assert float(run.checks.hinge_moment_error) < 1e-6
+        assert float(run.checks.momentum_balance_error) < 1e-6
 
     @pytest.mark.slow
     def test_rest_is_where_the_spring_holds_the_preload(self):
@@ -115,7 +115,7 @@ class TestOscillator:
         spring = JointSpring("coil", "G", stiffness=1e8, rest=START, preload=50.0)
         run = released(slider(spring), duration=0.05, method=GeneralisedAlpha(step=1e-3), save_every=0.01)
         assert int(run.status) == 0
-        np.testing.assert_allclose(run.displacements["G"], START, rtol=0, atol=2 * 50.0 / 1e8)
+        np.testing.assert_allclose(run.motion.displacements["G"], START, rtol=0, atol=2 * 50.0 / 1e8)
 
     @pytest.mark.slow
     def test_derivatives_with_respect_to_all_numbers(self):
@@ -127,7 +127,7 @@ class TestOscillator:
             )
             moved = eqx.tree_at(lambda m: m.forces["coil"], model, law)
             run = released(moved, duration=0.1, method=METHODS[2], save_every=0.05)
-            return jnp.stack([run.displacements["G"][-1], run.metrics.mean_square_force["G"]])
+            return jnp.stack([run.motion.displacements["G"][-1], run.metrics.mean_square_force["G"]])
 
         at = jnp.asarray([STIFFNESS, DAMPING, REST, PRELOAD])
         forward, backward = jax.jacfwd(end)(at), jax.jacrev(end)(at)
@@ -147,17 +147,17 @@ class TestLaws:
         run = released(slider(table), duration=0.4, method=method, save_every=0.1)
         rate = np.sqrt(STIFFNESS / (MASS + 1e-10))
         x = REST + (START - REST) * np.cos(rate * np.asarray(run.times))
-        np.testing.assert_allclose(run.displacements["G"], x, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(run.motion.displacements["G"], x, rtol=0, atol=1e-6)
         np.testing.assert_allclose(run.loads["G"].force[:, 0], 0.0, atol=1e-6)
         kinetic = 0.5 * MASS * ((START - REST) ** 2 - (x - REST) ** 2) * rate**2
         np.testing.assert_allclose(run.energy.work, kinetic, rtol=0, atol=1e-5)
-        assert float(run.energy_balance_error) < 1e-4
+        assert float(run.checks.energy_balance_error) < 1e-4
 
     @pytest.mark.slow
     def test_outside_its_positions_it_is_constant(self):
         table = JointForceTable("push", "G", [0.0, 0.1], [0.0, 2.0])
         run = released(slider(table), duration=0.1, method=METHODS[0])
-        np.testing.assert_allclose(run.displacements["G"][-1], START + 0.5 * 2.0 / MASS * 0.1**2, rtol=1e-8)
+        np.testing.assert_allclose(run.motion.displacements["G"][-1], START + 0.5 * 2.0 / MASS * 0.1**2, rtol=1e-8)
 
     @pytest.mark.slow
     def test_a_function_of_position_and_rate(self):
@@ -184,7 +184,7 @@ class TestLaws:
 
         def end(stiffness):
             moved = eqx.tree_at(lambda m: m.forces["cubic"].function.stiffness, model, stiffness)
-            return released(moved, duration=0.1, method=METHODS[0], save_every=0.05).displacements["G"][-1]
+            return released(moved, duration=0.1, method=METHODS[0], save_every=0.05).motion.displacements["G"][-1]
 
         np.testing.assert_allclose(end(jnp.asarray(900.0)), reference(900.0), rtol=1e-12)
         np.testing.assert_allclose(jax.grad(end)(900.0), jax.grad(reference)(900.0), rtol=1e-9)
@@ -221,8 +221,8 @@ def test_a_prescribed_drive_works_against_the_spring():
         run = simulate(Simulation(model, drive=PrescribedRate("A", 3.0), duration=0.2, method=method, save_every=0.1))
         # At a constant rate the joint carries no moment about its axis: the drive holds the spring.
         np.testing.assert_allclose(run.loads["A"].moment[:, 1], 0.0, atol=1e-9)
-        np.testing.assert_allclose(run.drive_moment, 4.0 * 3.0 * run.times + 0.2 * 3.0, rtol=1e-9)
-        assert float(run.energy_balance_error) < 1e-6
+        np.testing.assert_allclose(run.motion.drive_moment, 4.0 * 3.0 * run.times + 0.2 * 3.0, rtol=1e-9)
+        assert float(run.checks.energy_balance_error) < 1e-6
 
 
 class TestVibrationOfFlexibleLinks:

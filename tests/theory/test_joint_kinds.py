@@ -94,7 +94,7 @@ class TestSliderCrank:
         def end(method):
             run = simulate(Simulation(model, drive=drive, duration=0.02, method=method, save_every=0.005))
             assert int(run.status) == 0
-            return float(run.displacements["G"][-1]), float(run.energy_balance_error)
+            return float(run.motion.displacements["G"][-1]), float(run.checks.energy_balance_error)
 
         (slide, _), (found, balance) = end(RungeKutta4(step=5e-5)), end(method)
         assert abs(slide - 0.2597498) > 1e-3
@@ -125,8 +125,8 @@ class TestChain:
             for method in self.METHODS
         ]
         assert [int(run.status) for run in runs] == [0, 0, 0, 0]
-        assert max(float(run.energy_balance_error) for run in runs) < 1e-4
-        first, *others = [np.asarray(run.positions.joints)[-1] for run in runs]
+        assert max(float(run.checks.energy_balance_error) for run in runs) < 1e-4
+        first, *others = [np.asarray(run.motion.positions.joints)[-1] for run in runs]
         assert np.abs(first - np.asarray(start.position.joints)).max() > 1e-2
         for run, found in zip(runs[1:], others, strict=True):
             np.testing.assert_allclose(found, first, rtol=0, atol=1e-6)
@@ -198,7 +198,7 @@ class TestPlanarAndFixed:
                 errors,
             )
             loads = [getattr(run.loads[joint], key)[-1] for joint in "LF" for key in ("force", "moment")]
-            found = jnp.concatenate([run.displacements["L"][-1], *loads])
+            found = jnp.concatenate([run.motion.displacements["L"][-1], *loads])
             return found, found
 
         def known(values):

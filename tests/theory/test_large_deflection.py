@@ -241,5 +241,5 @@ def test_a_run_out_of_range_says_so(elements, name):
     )
     assert STATUS[int(run.status)].name == name
     if elements == "geometrically_exact":
-        assert run.energy_balance_error < 1e-5
-        assert run.momentum_balance_error < 1e-9
+        assert run.checks.energy_balance_error < 1e-5
+        assert run.checks.momentum_balance_error < 1e-9

@@ -127,7 +127,7 @@ def test_single_pendulum_moves_by_elliptic_functions(single, case):
     runs, exact = single
     angle = exact[case][0]
     assert runs.status[case] == 0
-    np.testing.assert_allclose(runs.angles["A"][case], angle, atol=1e-9)
+    np.testing.assert_allclose(runs.motion.angles["A"][case], angle, atol=1e-9)
     assert np.ptp(angle) > 0.5
 
 
@@ -146,7 +146,7 @@ def test_single_pendulum_has_the_exact_pivot_reaction(single, case):
 
 def test_single_pendulum_keeps_its_energy_and_maxima(single):
     runs, exact = single
-    assert runs.energy_balance_error.max() < 1e-9
+    assert runs.checks.energy_balance_error.max() < 1e-9
     for case, (_, force, _) in enumerate(exact):
         np.testing.assert_allclose(
             runs.metrics.max_axial_force["A"][case], np.abs(force[:, 1]).max(), rtol=1e-9
@@ -251,8 +251,8 @@ def test_planar_double_pendulum_by_lagrange(double, name, length_1):
     distance = WHERE * length_1 / LENGTH_1
     motion, accelerations = lagrange(length_1, distance)
     y = motion(run.times)
-    np.testing.assert_allclose(run.angles["A"], y[0], atol=1e-8)
-    np.testing.assert_allclose(run.angles["B"], y[1] - y[0], atol=1e-8)
+    np.testing.assert_allclose(run.motion.angles["A"], y[0], atol=1e-8)
+    np.testing.assert_allclose(run.motion.angles["B"], y[1] - y[0], atol=1e-8)
 
     def radial(angle):
         return np.array([np.cos(angle), 0.0, -np.sin(angle)])
@@ -347,8 +347,8 @@ def test_spatial_double_pendulum_by_newton_euler(double, name):
         rtol=1e-10,
         atol=1e-10,
     ).y
-    np.testing.assert_allclose(run.angles["A"], y[0], atol=1e-7)
-    np.testing.assert_allclose(run.angles["B"], y[1], atol=1e-7)
+    np.testing.assert_allclose(run.motion.angles["A"], y[0], atol=1e-7)
+    np.testing.assert_allclose(run.motion.angles["B"], y[1], atol=1e-7)
     for i, state in enumerate(y.T):
         expected = chain_loads(seat, bore, state[:2], state[2:], chain_accelerations(seat, bore, state))
         for joint, (force, moment) in expected.items():
@@ -356,7 +356,7 @@ def test_spatial_double_pendulum_by_newton_euler(double, name):
             np.testing.assert_allclose(run.loads[joint].moment[i], moment, atol=1e-5)
     largest = np.abs(run.loads["A"].force).max()
     assert largest > 20.0  # so the tolerances above are 1e-6 of it at most
-    assert run.momentum_balance_error < 1e-12 and run.energy_balance_error < 1e-8
+    assert run.checks.momentum_balance_error < 1e-12 and run.checks.energy_balance_error < 1e-8
 
 
 def test_twist_of_a_link_turns_the_frame_at_its_end_and_nothing_else():

@@ -77,7 +77,7 @@ class TestOscillator:
         run = released(sliders(SPRING), duration=0.4, method=method, save_every=0.1)
         assert int(run.status) == 0
         x, v = oscillation(np.asarray(run.times))
-        np.testing.assert_allclose(run.displacements["Gone"], x, rtol=0, atol=2e-7)
+        np.testing.assert_allclose(run.motion.displacements["Gone"], x, rtol=0, atol=2e-7)
         tension = PRELOAD + STIFFNESS * (x + AWAY - FREE) + DAMPING * v
         np.testing.assert_allclose(run.forces["coil"].length, x + AWAY, rtol=0, atol=2e-7)
         np.testing.assert_allclose(run.forces["coil"].tension, tension, rtol=0, atol=1e-4)
@@ -86,8 +86,8 @@ class TestOscillator:
         energy = (0.5 * STIFFNESS * (x + AWAY - FREE) + PRELOAD) * (x + AWAY - FREE)
         np.testing.assert_allclose(run.energy.elastic, energy, rtol=0, atol=1e-5)
         np.testing.assert_allclose(run.energy.dissipation, energy[0] - energy - 0.5 * MASS * v**2, rtol=0, atol=1e-5)
-        assert float(run.hinge_moment_error) < 1e-6
-        assert float(run.momentum_balance_error) < 1e-6
+        assert float(run.checks.hinge_moment_error) < 1e-6
+        assert float(run.checks.momentum_balance_error) < 1e-6
 
     def test_a_function_does_the_work_of_the_spring(self):
         """The same spring as a function of length and rate, of which nothing is known but its force: its power is work
@@ -99,11 +99,11 @@ class TestOscillator:
         function = PointSpringFunction("coil", SPRING.links, SPRING.points, tension)
         run = released(sliders(function), duration=0.4, method=RK4, save_every=0.1)
         x, v = oscillation(np.asarray(run.times))
-        np.testing.assert_allclose(run.displacements["Gone"], x, rtol=0, atol=2e-7)
+        np.testing.assert_allclose(run.motion.displacements["Gone"], x, rtol=0, atol=2e-7)
         np.testing.assert_allclose(run.forces["coil"].tension, tension(x + AWAY, v), rtol=0, atol=1e-4)
         np.testing.assert_allclose(run.energy.work, 0.5 * MASS * v**2, rtol=0, atol=1e-6)
         assert not run.energy.elastic.any() and not run.energy.dissipation.any()
-        assert float(run.energy_balance_error) < 1e-6
+        assert float(run.checks.energy_balance_error) < 1e-6
 
     def test_eigenvalues_and_step(self):
         decay = DAMPING / (2.0 * MASS)
@@ -154,10 +154,12 @@ class TestTwoBlocks:
         method = GeneralisedAlpha(step=1e-3)
         run = released(model, duration=0.05, method=method, save_every=0.01)
         assert int(run.status) == 0
-        assert float(run.solution_residual) < 1e-3
+        assert float(run.checks.solution_residual) < 1e-3
         moved = 0.5 * 3.0 / (2 * MASS) * np.asarray(run.times) ** 2
-        np.testing.assert_allclose(run.displacements["Gone"], moved, rtol=0, atol=1e-6)
-        np.testing.assert_allclose(run.displacements["Gtwo"] - run.displacements["Gone"], 0.2, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(run.motion.displacements["Gone"], moved, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(
+            run.motion.displacements["Gtwo"] - run.motion.displacements["Gone"], 0.2, rtol=0, atol=1e-6
+        )
         # A damped step after the jump of the force at the start, the rod carries what the first block needs.
         along = run.forces["rod"].force[-1]
         np.testing.assert_allclose(along[0], -1.5, rtol=1e-3)
@@ -205,7 +207,7 @@ class TestTime:
         after = at + rate * (t - 0.1) - np.minimum(t - 0.1, 0.2) ** 2 / 2.0
         after = after - np.maximum(t - 0.3, 0.0) * 0.2
         x = START + np.where(t < 0.1, rising, after) / mass
-        np.testing.assert_allclose(run.displacements["Gone"], x, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(run.motion.displacements["Gone"], x, rtol=0, atol=1e-12)
         force = np.where(t < 0.1 + 1e-9, 20.0 * t, np.where(t < 0.3 + 1e-9, -1.0, 0.0))
         np.testing.assert_allclose(run.forces["push"].force[:, 0], force, rtol=0, atol=1e-9)
         np.testing.assert_allclose(run.energy.work, run.energy.kinetic, rtol=0, atol=1e-8)
@@ -226,7 +228,7 @@ class TestTime:
         def end(values):
             moved = eqx.tree_at(numbers, model, (*values[:4], model.frame_forces["push"].value.values * values[4]))
             run = released(moved, duration=0.12, method=GeneralisedAlpha(step=1e-3), save_every=0.06)
-            return jnp.stack([run.displacements["Gone"][-1], run.metrics.mean_square_moment["Gone"]])
+            return jnp.stack([run.motion.displacements["Gone"][-1], run.metrics.mean_square_moment["Gone"]])
 
         at = jnp.asarray([STIFFNESS, DAMPING, FREE, PRELOAD, 1.0])
         end = jax.jit(end)

@@ -51,8 +51,8 @@ def test_motion_follows_lagranges_equation(released, exact_motion, exact_four_ba
     cut, run = released
     (crank, rate), _ = exact_motion
     assert run.status == 0 and crank[-1] - crank[0] > 1.0
-    np.testing.assert_allclose(run.angle, crank, atol=1e-8)
-    np.testing.assert_allclose(run.rate, rate, atol=1e-6)
+    np.testing.assert_allclose(run.motion.angle, crank, atol=1e-8)
+    np.testing.assert_allclose(run.motion.rate, rate, atol=1e-6)
     angles = np.array([exact_four_bar.angles(a) for a in crank])
     relative = {
         "C": {"B": angles[:, 1] - angles[:, 0], "D": angles[:, 2]},
@@ -60,7 +60,7 @@ def test_motion_follows_lagranges_equation(released, exact_motion, exact_four_ba
         "D": {"B": angles[:, 1] - angles[:, 0], "C": angles[:, 2] + np.pi - angles[:, 1]},
     }[cut]
     for joint, expected in relative.items():
-        np.testing.assert_allclose(wrapped(run.angles[joint] - expected), 0.0, atol=1e-8)
+        np.testing.assert_allclose(wrapped(run.motion.angles[joint] - expected), 0.0, atol=1e-8)
 
 
 def test_joint_forces_are_those_of_newton_and_euler(released, exact_motion, exact_four_bar, four_bar_loads):
@@ -84,12 +84,12 @@ def test_nothing_happens_out_of_the_plane(released):
     for load in run.loads.values():
         assert np.abs(load.force[:, 1]).max() < 1e-10 * largest
         assert np.abs(load.moment).max() < 1e-10 * largest
-    assert run.hinge_moment_error < 1e-10 and run.momentum_balance_error < 1e-9
+    assert run.checks.hinge_moment_error < 1e-10 and run.checks.momentum_balance_error < 1e-9
 
 
 def test_energy_and_closure(released):
     _, run = released
-    assert run.energy_balance_error < 1e-7 and run.closure_drift < 1e-9
+    assert run.checks.energy_balance_error < 1e-7 and run.checks.closure_drift < 1e-9
     work = np.max(run.energy.work)
     assert work > 0.5  # J, so the balance is about something
 
@@ -123,19 +123,19 @@ def test_prescribed_crank(four_bar, exact_four_bar, four_bar_loads, rise_time):
     rise = 6.0 * RATE * (x - x**2) / rise_time if rise_time else np.zeros_like(t)
     acceleration = np.where(x < 1.0, rise, 0.0)
     assert run.status == 0
-    np.testing.assert_allclose(run.angle, -np.pi / 2.0 + turned, atol=1e-12)
-    np.testing.assert_allclose(run.rate, rate, atol=1e-12)
+    np.testing.assert_allclose(run.motion.angle, -np.pi / 2.0 + turned, atol=1e-12)
+    np.testing.assert_allclose(run.motion.rate, rate, atol=1e-12)
     expected = [four_bar_loads("C", *state) for state in zip(-np.pi / 2.0 + turned, rate, acceleration)]
     moments = np.array([moment for _, moment in expected])
     largest = np.abs(run.loads["A"].force).max()
-    np.testing.assert_allclose(run.drive_moment, moments, atol=2e-6 * largest * 0.3)
-    np.testing.assert_array_equal(run.drive_moment, run.loads["A"].moment[:, 1])
+    np.testing.assert_allclose(run.motion.drive_moment, moments, atol=2e-6 * largest * 0.3)
+    np.testing.assert_array_equal(run.motion.drive_moment, run.loads["A"].moment[:, 1])
     for joint in "ABCD":
         forces = np.array([forces[joint] for forces, _ in expected])
         np.testing.assert_allclose(run.loads[joint].force[:, np.array([0, 2])], forces, atol=2e-6 * largest)
     for joint, angle in (("B", lambda a: a[1] - a[0]), ("D", lambda a: a[2])):
         angles = [angle(exact_four_bar.angles(a)) for a in -np.pi / 2.0 + turned]
-        np.testing.assert_allclose(wrapped(run.angles[joint] - np.array(angles)), 0.0, atol=1e-8)
+        np.testing.assert_allclose(wrapped(run.motion.angles[joint] - np.array(angles)), 0.0, atol=1e-8)
     energy = np.asarray(run.energy.total)
     np.testing.assert_allclose(run.energy.work, energy - energy[0], atol=1e-7 * np.abs(energy).max())
     assert np.ptp(energy) > 0.02  # J: work is done
@@ -184,7 +184,7 @@ def test_flexible_loop_with_errors_moves_the_same_wherever_it_is_cut(four_bar):
     scale = one.max(axis=1, keepdims=True)
     assert (scale > 0.1).all()  # errors load every joint in every way
     assert (np.abs(one - other) < 1e-6 * scale).all()
-    np.testing.assert_allclose(runs["D"].angle, runs["C"].angle, atol=1e-8)
+    np.testing.assert_allclose(runs["D"].motion.angle, runs["C"].motion.angle, atol=1e-8)
     for metric in ("rms_force", "rms_moment", "max_axial_force", "max_normal_force"):
         one, other = getattr(runs["C"].metrics, metric), getattr(runs["D"].metrics, metric)
         for joint in "ABCD":

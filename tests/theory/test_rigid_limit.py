@@ -36,7 +36,7 @@ def test_stiff_four_bar_tends_to_the_closed_form(flexible_four_bar_runs, exact_f
 
     crank, rate = exact_four_bar.motion(moment, (RISE, times[-1]), times)
     assert rate[-1] > 15.0
-    off = [np.abs(run.angle - crank).max() for run in runs]
+    off = [np.abs(run.motion.angle - crank).max() for run in runs]
     assert off[0] < 1e-3 and off[1] < 0.4 * off[0]
     expected = []
     for i, t in enumerate(times):
@@ -110,8 +110,8 @@ def test_stiff_chain_moves_like_a_rigid_one(tripods):
     rigid, flexible = tripods
     assert (flexible.status == 0).all()
     for joint in "AB":
-        assert np.ptp(rigid.angles[joint]) > 0.5
-        off = np.abs(flexible.angles[joint] - rigid.angles[joint]).max(axis=1)
+        assert np.ptp(rigid.motion.angles[joint]) > 0.5
+        off = np.abs(flexible.motion.angles[joint] - rigid.motion.angles[joint]).max(axis=1)
         assert off[0] < 0.02 and off[1] < 0.4 * off[0]
 
 
@@ -131,6 +131,6 @@ def test_stiff_chain_has_the_loads_of_a_rigid_one(tripods):
 def test_flexible_chain_balances(tripods):
     """A hinge on an inner rfe, bent links, spatial motion: momentum and energy balance."""
     _, flexible = tripods
-    assert flexible.momentum_balance_error.max() < 1e-10
-    assert flexible.hinge_moment_error.max() < 1e-10
-    assert flexible.energy_balance_error.max() < 1e-5
+    assert flexible.checks.momentum_balance_error.max() < 1e-10
+    assert flexible.checks.hinge_moment_error.max() < 1e-10
+    assert flexible.checks.energy_balance_error.max() < 1e-5

@@ -76,7 +76,7 @@ def test_output_angle_without_and_with_errors(study):
             ),
             assembly_errors(model, dict(zip(names, values, strict=True))),
         )
-        return run.angle, run.angles["D"], run.status
+        return run.motion.angle, run.motion.angles["D"], run.status
 
     crank, rocker, status = jax.vmap(angles)(jnp.asarray(errors.reshape(2, 12)))
     assert np.asarray(status).tolist() == [0, 0]

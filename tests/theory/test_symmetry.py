@@ -20,7 +20,7 @@ def runs(flexible_four_bar_runs):
 
 def test_motion_is_fast_and_loads_come_from_errors(runs):
     """Otherwise the tests below would say little."""
-    assert runs["errors"].driven_joint.rate_end > 15.0
+    assert runs["errors"].motion.rate_end > 15.0
     for joint in "ABCD":
         assert runs["errors"].metrics.rms_moment[joint] > 0.1
         assert runs["errors"].metrics.max_axial_force[joint] > 1.0
@@ -33,7 +33,7 @@ def test_planar_mechanism_stays_planar(runs):
         for load in (run.loads[joint], run.preload[joint]):
             assert np.abs(load.force[..., 1]).max() < 1e-11 * largest
             assert np.abs(load.moment[..., [0, 2]]).max() < 1e-11 * largest
-    for line in run.centre_lines.values():
+    for line in run.motion.centre_lines.values():
         assert np.abs(line[..., 1]).max() < 1e-14
 
 
@@ -74,7 +74,7 @@ def test_rotated_and_shifted_mechanism_has_the_same_loads(runs):
         for kind in ("loads", "preload"):
             for one, other in zip(getattr(still, kind)[joint], getattr(moved, kind)[joint]):
                 np.testing.assert_allclose(one, other, atol=1e-7 * np.abs(one).max())
-    np.testing.assert_allclose(still.angle, moved.angle, atol=1e-10)
+    np.testing.assert_allclose(still.motion.angle, moved.motion.angle, atol=1e-10)
     np.testing.assert_allclose(still.energy.total, moved.energy.total, atol=1e-9)
 
 
@@ -97,7 +97,7 @@ def test_mirrored_errors_give_mirrored_loads(runs):
 def test_balances_hold_with_errors(runs):
     """The stabilisation has next to nothing to do if the constraints are complete."""
     for run in runs.values():
-        assert run.closure_drift < 1e-10 and run.closure_drift_angle < 1e-11
-        assert run.stabilisation_share < 2e-8
-        assert run.momentum_balance_error < 1e-12 and run.hinge_moment_error < 1e-10
-        assert run.energy_balance_error < 2e-6
+        assert run.checks.closure_drift < 1e-10 and run.checks.closure_drift_angle < 1e-11
+        assert run.checks.stabilisation_share < 2e-8
+        assert run.checks.momentum_balance_error < 1e-12 and run.checks.hinge_moment_error < 1e-10
+        assert run.checks.energy_balance_error < 2e-6

@@ -92,7 +92,7 @@ def test_a_p_norm_has_a_finite_derivative_where_the_load_vanishes():
 
 
 def test_metrics_of_ones_own_and_bad_ones():
-    own = Metric("A.swing", "rad", "swing", function=lambda run: run.driven_joint.angle_end)
+    own = Metric("A.swing", "rad", "swing", function=lambda run: run.motion.angle_end)
     assert float(own(run())) == 1.25 and own.even is None
     with pytest.raises(InputError, match="`function` of metric 'A.swing'"):
         Metric("A.swing", "rad")(run())
@@ -119,7 +119,7 @@ def test_only_joints_with_a_coordinate_have_a_motion():
 def registered():
     """Two metrics of a program that uses the package; the catalogue is the same afterwards."""
     kept = [(catalogue, dict(catalogue)) for catalogue in (JOINT_METRICS, RUN_METRICS)]
-    register_metric("tip", "m", lambda run: run.ends["arm"][-1, 0], label="horizontal place of the tip")
+    register_metric("tip", "m", lambda run: run.motion.ends["arm"][-1, 0], label="horizontal place of the tip")
     register_metric("pull", "N", lambda run, joint: run.loads[joint].force[-1, 0], of_joints=True)
     yield
     for catalogue, entries in kept:
@@ -177,5 +177,5 @@ def test_a_problem_refuses_metrics_that_it_cannot_compute(registered, pendulum):
 
 def test_a_metric_that_is_replaced_is_another_one(registered):
     before = metric("tip")
-    register_metric("tip", "rad", lambda run: run.angle[-1], replace=True)
+    register_metric("tip", "rad", lambda run: run.motion.angle[-1], replace=True)
     assert metric("tip") is not before and metric("tip").unit == "rad" and metric("tip") is metric("tip")

@@ -211,4 +211,4 @@ def test_a_problem_is_shown_in_a_line(problem):
 def test_trials_of_auto(traced):
     jax.clear_caches()
     assert choose_method(discretise(arm()), Automatic(), DRIVE, DURATION).step > 0.0
-    assert [traced.count(name) for name in ("prepare_trials", "loads_of_trials")] == [1, 1]
+    assert [traced.count(name) for name in ("prepare_batch", "loads_of_trials")] == [1, 1]

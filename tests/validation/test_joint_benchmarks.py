@@ -51,16 +51,16 @@ def test_rigid_slider_crank():
     run = slider_cranks.run_rigid()
     lines = joint_cases.checked(slider_cranks.REFERENCE, "rigid", "", run, slider_cranks.RIGID)
     assert_all_pass(lines, 14)
-    assert float(run.energy_balance_error) < 1e-8
-    assert float(run.momentum_balance_error) < 1e-12
-    assert float(run.hinge_moment_error) < 1e-12
+    assert float(run.checks.energy_balance_error) < 1e-8
+    assert float(run.checks.momentum_balance_error) < 1e-12
+    assert float(run.checks.hinge_moment_error) < 1e-12
 
 
 @pytest.mark.slow
 def test_gas_force():
     run = acting_forces.run_gas()
     assert_all_pass(acting_forces.gas_lines(run), 8)
-    assert float(run.energy_balance_error) < 1e-6
+    assert float(run.checks.energy_balance_error) < 1e-6
     # Moment about the wrist pin, from that about the guide's point.
     at = int(np.argmin(np.abs(np.asarray(run.times) - 0.0261799387799)))
     about_pin = run.loads["G"].moment[at] + np.cross([0.02, 0.0, 0.008], run.loads["G"].force[at])
@@ -70,7 +70,7 @@ def test_gas_force():
 def test_spring_and_forces_at_points(monkeypatch):
     run = acting_forces.run_pendulum()
     assert_all_pass(acting_forces.pendulum_lines(run), 13)
-    assert float(run.energy_balance_error) < 1e-6 and float(run.momentum_balance_error) < 1e-9
+    assert float(run.checks.energy_balance_error) < 1e-6 and float(run.checks.momentum_balance_error) < 1e-9
     monkeypatch.setattr(acting_forces, "ANGLE", 1.00001 * acting_forces.ANGLE)
     assert len(failed(acting_forces.pendulum_lines(acting_forces.run_pendulum()))) > 5
 
@@ -186,7 +186,7 @@ def test_single_impacts(monkeypatch):
     assert int(restored.status) == int(damped.status) == 0
     assert_all_pass(impacts.restitution_lines(restored), 7)
     assert_all_pass(impacts.damping_lines(damped), 3)
-    assert float(damped.energy_balance_error) < 1e-8
+    assert float(damped.checks.energy_balance_error) < 1e-8
     monkeypatch.setattr(impacts, "MASS", 1.001 * impacts.MASS)
     for lines in (impacts.restitution_lines(restored), impacts.damping_lines(damped)):
         assert failed(lines) == ["rebound speed"]
@@ -254,7 +254,7 @@ def test_force_tables(monkeypatch):
 
     The motion whose table of rates is missed is that of Newton's equations; a spring softer by a thousandth fails."""
     run = force_tables.released("function 3")
-    assert float(run.energy_balance_error) < 1e-6
+    assert float(run.checks.energy_balance_error) < 1e-6
     assert_all_pass(force_tables.released_lines("function 3", run), 3)
     other = force_tables.released("function 4")
     missed = [line for line in force_tables.released_lines("function 4", other) if line.verdict != PASS]

@@ -89,7 +89,7 @@ def register_metric(
     """Add a metric to the catalogue. From then on its name is known everywhere: in `Problem`, in all tolerance
     studies and their tables, and in study files that are loaded afterwards.
 
-        register_metric("swing", "rad", lambda run: jnp.max(run.angle), label="largest crank angle")
+        register_metric("swing", "rad", lambda run: jnp.max(run.motion.angle), label="largest crank angle")
         register_metric("end_force", "N", lambda run, joint: run.loads[joint].force[-1, 0], of_joints=True)
 
         problem = Problem(simulation, ("swing", "A.end_force"))
@@ -135,7 +135,7 @@ def _require_fitting(name: str, function: Callable[..., Any], both: bool) -> Non
     if not callable(function):
         raise InputError(
             f"Argument `function` of the metric `{name}` must be a function of a run, but is {function!r}; "
-            "write for example `lambda run: run.angle[-1]`."
+            "write for example `lambda run: run.motion.angle[-1]`."
         )
     if both:
         raise InputError(
@@ -297,7 +297,7 @@ _add_component("max_normal_force", "normal", "largest resultant force across the
 
 def _register_motion(what: str, unit: str, range_name: str, count: Callable[[JointKind], int]) -> None:
     def values(run, joint):
-        return getattr(run, f"{what}s")[joint]
+        return getattr(run.motion, f"{what}s")[joint]
 
     def one(kind: JointKind, cut: bool) -> bool:
         return not cut and count(kind) == 1
@@ -317,7 +317,7 @@ def _register_motion(what: str, unit: str, range_name: str, count: Callable[[Joi
 _register_motion("angle", "rad", "swing", lambda kind: kind.angles)
 _register_motion("displacement", "m", "stroke", lambda kind: kind.displacements)
 register_metric(
-    "angle_error", "rad", lambda run: run.driven_joint.angle_end, label="angle error at the end", even=True,
+    "angle_error", "rad", lambda run: run.motion.angle_end, label="angle error at the end", even=True,
     description="angle of the driven joint at the end of the run",
 )  # fmt: skip
 register_metric(
@@ -325,6 +325,7 @@ register_metric(
     description="kinetic, elastic and potential energy at the end of the run",
 )  # fmt: skip
 register_metric(
-    "linear_error", "", lambda run: run.linear_error, label="estimated error of linear elements", nonnegative=True,
+    "linear_error", "", lambda run: run.checks.linear_error, label="estimated error of linear elements",
+    nonnegative=True,
     description="estimated, relative to the deflections of the link that is worst; it has no derivatives",
 )  # fmt: skip

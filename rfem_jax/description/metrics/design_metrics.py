@@ -183,8 +183,8 @@ def _friction_loss(run: Any) -> Float[Array, ""]:
 
 def _power(run: Any, joint: str = "") -> Float[Array, " times"]:
     """Power [W] of all drives, or of those of one joint."""
-    names = [name for name in run.drives if not joint or name == joint or name.startswith(f"{joint}.")]
-    return jnp.sum(jnp.stack([run.drives[name].force * run.drives[name].rate for name in names]), axis=0)
+    names = [name for name in run.motion.drives if not joint or name == joint or name.startswith(f"{joint}.")]
+    return jnp.sum(jnp.stack([run.motion.drives[name].force * run.motion.drives[name].rate for name in names]), axis=0)
 
 
 def _peak_power(run: Any, joint: str = "") -> Float[Array, ""]:

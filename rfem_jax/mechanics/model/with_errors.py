@@ -101,7 +101,10 @@ def assembly_errors(model: Model, values: Mapping[str, ArrayLike | str] | None =
         else:
             parts[part][place] = value
     arrays = {part: jnp.asarray(values, jnp.float64) for part, values in parts.items()}
-    errors = AssemblyErrors(**arrays, owners=Owners(topology.joints, topology.links))
+    errors = AssemblyErrors(
+        arrays["seat"], arrays["bore"], arrays["pin"], arrays["length"], arrays["twist"],
+        owners=Owners(topology.joints, topology.links),
+    )  # fmt: skip
     errors = _insert(errors, *zip(*traced)) if traced else errors
     return dataclasses.replace(errors, parameters=deviations) if deviations else errors
 

@@ -60,7 +60,7 @@ from rfem_jax.mechanics.model.status import (
 )
 from rfem_jax.mechanics.model.with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
 from rfem_jax.mechanics.statics.contact import search_contact
-from rfem_jax.mechanics.statics.designs import Design, designed, with_status
+from rfem_jax.mechanics.statics.designs import Design, designed, status_of
 from rfem_jax.mechanics.statics.search import (
     Equations,
     Linear,
@@ -117,7 +117,8 @@ def assemble(
     """
     hold = checked_hold(model, hold)
     made = designed(model, design, errors)
-    return with_status(_assemble(made.model, made.errors, hold), made)
+    found = _assemble(made.model, made.errors, hold)
+    return found._replace(status=status_of(found.status, made), design_gap=made.gap)
 
 
 @functools.partial(Program, nameless=True)

@@ -314,13 +314,3 @@ def _longest_arm(model: Model) -> Float[Array, ""]:
 def status_of(status: Int[Array, "*positions"], made: Designed) -> Int[Array, "*positions"]:
     """A status of a model of a design: that of the design, if it is not OK."""
     return status if made.status is None else jnp.where(made.status == OK, status, made.status)
-
-
-def with_status(result: Any, made: Designed) -> Any:
-    """A result of a model of a design: an assembly or a run whose status is that of the design, if that is not OK."""
-    if made.status is None:
-        return result
-    status = status_of(result.status, made)
-    if isinstance(result, tuple):
-        return result._replace(status=status, design_gap=made.gap)  # pyright: ignore[reportAttributeAccessIssue]
-    return replace(result, status=status, design_gap=made.gap)

@@ -44,7 +44,7 @@ Arrays = dict[str, np.ndarray]
 
 def record_animation(runs: Mapping[str, Run]) -> tuple[dict[str, Any], list[Arrays]] | None:
     """Description and arrays of every case; None where the runs do not say where the mechanism is."""
-    known = [run for run in runs.values() if getattr(run, "positions", None) is not None]
+    known = [run for run in runs.values() if run.motion.positions is not None]
     if len(known) < len(runs) or not known or known[0].model is None:
         return None
     topology = known[0].model.topology
@@ -77,7 +77,7 @@ def _arrays(run: Run, most: int, forces: list[dict[str, Any]]) -> Arrays:
     from rfem_jax.mechanics.dynamics.centre_lines import trace_shapes
     from rfem_jax.mechanics.model.nominal_path import nominal_shapes
 
-    model, errors, positions = run.model, run.errors, run.positions
+    model, errors, positions = run.model, run.errors, run.motion.positions
     assert model is not None and errors is not None and positions is not None
     rows = some_rows(len(run.times), most)
     shown = jax.tree.map(lambda x: np.asarray(x)[rows], positions)

@@ -46,8 +46,8 @@ def run_content(run: Run) -> dict[str, Any]:
     status = STATUS[int(run.status)]
     case = {"status": status.name, "message": status.message, "errors": _errors(run), "joints": _joints(run)}
     case["remarks"] = list(remarks_on(run))
-    case["driven_joint"] = {one.name: float(getattr(run.driven_joint, one.name)) for one in DRIVEN_JOINT}
-    case |= {one.name: float(getattr(run, one.name)) for one in CHECKS}
+    case["driven_joint"] = {one.name: float(getattr(run.motion, one.name)) for one in DRIVEN_JOINT}
+    case |= {one.name: float(getattr(run.checks, one.name)) for one in CHECKS}
     driven = run.model.driven_joint if run.model is not None else None
     head = {
         "title": "Loads in the joints of one run", "duration": float(run.times[-1]), "driven_joint": driven,
@@ -107,7 +107,7 @@ def _columns(run: Run) -> Columns:
         for part, unit in (("force", "N"), ("moment", "N m")):
             for letter, values in zip("xyz", np.asarray(getattr(load, part)).T, strict=True):
                 columns[column_name(f"{name}_{part}_{letter}", unit)] = values
-    for what, unit, values in (("angle", "rad", run.angles), ("displacement", "m", run.displacements)):
+    for what, unit, values in (("angle", "rad", run.motion.angles), ("displacement", "m", run.motion.displacements)):
         for joint, several in values.items():
             several = np.asarray(several)
             if several.ndim == 1:
@@ -116,7 +116,7 @@ def _columns(run: Run) -> Columns:
                 named = enumerate(several.T, start=1)
                 columns |= {column_name(f"{joint}_{what}_{n}", unit): one for n, one in named}
     if run.model is not None and run.model.topology.drives:
-        columns[column_name("rate", "m/s" if _slides(run) else "rad/s")] = np.asarray(run.rate)
+        columns[column_name("rate", "m/s" if _slides(run) else "rad/s")] = np.asarray(run.motion.rate)
     return columns
 
 

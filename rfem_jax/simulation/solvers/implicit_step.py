@@ -10,7 +10,7 @@ theorem,
 
 not through the iterations.  This linear system is solved iteratively, too: increments with the iteration matrix
 in place of dR/dz, as many as the accuracy asked of the loads needs (theory (7.17) to (7.20)).  The residual that
-remains of it shows in the derivative of `Run.equation_residual`.
+remains of it shows in the derivative of `Run.checks.equation_residual`.
 """
 
 import functools

@@ -74,7 +74,7 @@ def end_angle(reference: float = 0.0) -> Metric:
         "rad",
         "angle error at the end",
         even=True,
-        function=lambda run: run.driven_joint.angle_end - reference,
+        function=lambda run: run.motion.angle_end - reference,
     )
 
 

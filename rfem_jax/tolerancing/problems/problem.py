@@ -37,7 +37,7 @@ Status = Int[Array, ""]
 class Metric:
     """One number that a problem returns: its name, unit, label for tables and plots, and symmetry.
 
-        Metric("A.swing", "rad", "largest crank angle", function=lambda run: jnp.max(run.angle))
+        Metric("A.swing", "rad", "largest crank angle", function=lambda run: jnp.max(run.motion.angle))
 
     `even`: True if the value does not change when all out-of-plane errors of a planar mechanism change sign
     (theory (9.3)), None if unknown. `function`: Run -> scalar; the simulator needs it, a `FunctionProblem` does not.
@@ -87,7 +87,7 @@ class Metric:
         if self.function is None or not callable(self.function):
             raise InputError(
                 f"Argument `function` of metric {self.name!r} must be a function of a run, but is "
-                f"{self.function!r}; give for example `lambda run: run.angle[-1]`."
+                f"{self.function!r}; give for example `lambda run: run.motion.angle[-1]`."
             )
         return self.function
 

@@ -38,7 +38,7 @@ from rfem_jax.simulation.locking import FAILED_IN_MOTION, DriveLimit, drive_limi
 from rfem_jax.simulation.records import require_records
 from rfem_jax.simulation.run import RESIDUAL_LIMIT, of_model
 from rfem_jax.simulation.specification import Simulation, simulation_of_call
-from rfem_jax.simulation.stepping import contact_tolerance_of
+from rfem_jax.simulation.stepping import Integration, contact_tolerance_of
 from rfem_jax.simulation.time_grid import TimeGrid, longest_interval, of_any_step
 from rfem_jax.tolerancing.checks import check_distinct, check_known, error_value
 from rfem_jax.tolerancing.problems.metrics import metric
@@ -249,7 +249,7 @@ class Problem(eqx.Module):
         grid, steps = problem._grid()
         if not any(isinstance(x, Tracer) for x in jax.tree.leaves((model, errors, drive))):
             method, grid, steps = of_any_step(method, grid, steps)  # one program for all steps; none of reverse mode
-        return _values_of_numbers(problem.metrics, model, errors, drive, grid, method, steps)
+        return _values_of_numbers(problem.metrics, Integration(model, drive, grid, method, steps), errors)
 
     def with_residual(
         self, errors: Errors
@@ -265,7 +265,7 @@ class Problem(eqx.Module):
         run = simulate_steps(problem.model, errors, problem.drive, grid, problem.method, steps, **settings)
         forces = jnp.stack([load.force for load in run.loads.values()])
         values = {m.name: jnp.asarray(m(run)) for m in self.metrics}
-        return values, jnp.asarray(run.status), jnp.asarray(run.equation_residual), forces
+        return values, jnp.asarray(run.status), jnp.asarray(run.checks.equation_residual), forces
 
     @property
     def _interval(self) -> float:
@@ -303,12 +303,11 @@ def _values_and_status(problem: Problem, errors: AssemblyErrors) -> tuple[Values
 
 
 @functools.partial(Program, nameless=True)
-def _values_of_numbers(metrics, model, errors, drive, grid, method, steps):
+def _values_of_numbers(metrics, whole: Integration, errors):
     """As `_values_and_status`, of a mechanism whose numbers are those of the model."""
-    prepared, carry, ends = integrated(model, errors, drive, grid, None, method, steps, None)
-    asked = require_records(model, _records_of(metrics))
-    conclusion = conclude(model, prepared, drive, carry, ends, grid, method, steps, asked)
-    run = of_model(run_of(model, conclusion), model, errors)
+    asked = require_records(whole.model, _records_of(metrics))
+    conclusion = conclude(whole, *integrated(whole, errors), asked)
+    run = of_model(run_of(whole.model, conclusion), whole.model, errors)
     return {m.name: jnp.asarray(m(run)) for m in metrics}, run.status
 
 
@@ -353,7 +352,7 @@ def _known_metric(model: Model, asked: str | Metric) -> Metric:
     if one.function is None:
         raise InputError(
             f"Argument `metrics` must hold metrics with a function of a run, but {one.name!r} has no function; write "
-            f"for example Metric({one.name!r}, function=lambda run: run.angle[-1])."
+            f"for example Metric({one.name!r}, function=lambda run: run.motion.angle[-1])."
         )
     return one
 
