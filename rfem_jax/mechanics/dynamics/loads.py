@@ -155,13 +155,13 @@ def with_least_reactions(
     """What was solved (`Solved`), and the wrenches of all joints, with multipliers for which redundant reactions are
     least, of models that ask for it."""
     cuts, hinges = result.closure, result.motion.hinges
-    found = redundancy(actual.topology, result.motion, cuts)
-    if found is None:
+    left_open = redundancy(actual.topology, result.motion, cuts)
+    if left_open is None:
         return result, wrenches
     revolute = np.array([actual.topology.kinds[j] == "revolute" for j in actual.topology.cuts])
     points = jnp.concatenate([hinges.point, jnp.where(revolute, cuts.centre, cuts.right_centre)], axis=1)
     assert actual.reaction_length is not None, "models that ask for least reactions have one"
-    change, wrenches = least_reactions(found, points, wrenches, actual.reaction_length)
+    change, wrenches = least_reactions(left_open, points, wrenches, actual.reaction_length)
     return result._replace(multipliers=result.multipliers + change), wrenches
 
 
@@ -203,7 +203,7 @@ def contact_loads(topology: Topology, result: Placed) -> JointLoads:
     """Part of the contacts in the loads of joints with clearance: forces, and moments about the child's point; zero at
     all other joints."""
     joints, n = len(topology.joints), topology.n_links
-    found = [jnp.zeros((3, joints)), jnp.zeros((3, joints))]
+    sums = [jnp.zeros((3, joints)), jnp.zeros((3, joints))]
     for j in topology.clearances:
         assert result.frame_loads is not None, "contacts are force elements"
         exerted = result.frame_loads.exerted[clearance_name(topology.joints[j])]
@@ -214,8 +214,8 @@ def contact_loads(topology: Topology, result: Placed) -> JointLoads:
             assert result.closure is not None, "a cut joint has a closure"
             axes = result.closure.rotation[:, :, j - n]
         parts = exerted.force, exerted.moment
-        found = [sum + apply_transposed(axes, part)[:, None] * here for sum, part in zip(found, parts)]
-    return JointLoads(*found)
+        sums = [sum + apply_transposed(axes, part)[:, None] * here for sum, part in zip(sums, parts)]
+    return JointLoads(*sums)
 
 
 def _with_cut_forces(topology: Topology, joint: JointLoads, at_cuts: CutForces | None) -> JointLoads:
