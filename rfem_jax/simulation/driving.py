@@ -202,11 +202,11 @@ def _require_joint(model: Model, drive: AnyDrive) -> None:
 
 def _other_joint(model: Model, drive: AnyDrive, labels: Sequence[str]) -> InputError:
     known = [f"`{label}`" for label in model.topology.drive_labels]
-    found = "no joint of the model is driven" if not known else f"that is {' and '.join(known)}"
+    driven = "no joint of the model is driven" if not known else f"that is {' and '.join(known)}"
     wanted = labels[0] if len(labels) == 1 else list(labels)
     return InputError(
-        f"Argument `drive` must act on the model's driven joint, but acts on `{drive.joint}` and {found}; the model is "
-        f"assembled with this joint held, so describe it by Mechanism(..., driven_joint={wanted!r})."
+        f"Argument `drive` must act on the model's driven joint, but acts on `{drive.joint}` and {driven}; the model "
+        f"is assembled with this joint held, so describe it by Mechanism(..., driven_joint={wanted!r})."
     )
 
 
