@@ -63,7 +63,7 @@ class ActiveDrives(eqx.Module):
             if isinstance(drive, GivenDrive):
                 forces[k] = drive.force_at(t, passed)
             elif start is not None:
-                change, rate, acceleration = drive.motion_at(t, passed)
+                change, rate, acceleration = drive.motion_at(t, passed)  # counted from the start of the coordinate
                 motions[k] = start + change, rate, acceleration
         time = None if self.jumps is None else Instant(jnp.asarray(t), jnp.asarray((-1.0, *self.jumps))[phase])
         return DriveInput(forces, motions, time)

@@ -106,6 +106,7 @@ def joint_loads(actual: ModelWithErrors, result: Accelerations, drive: DriveInpu
         net = apply(tree.inertia[:, :, :n], result.spatial) - tree.load[:, :n]
         wrenches: dict[int, Array] = {}
         for l in reversed(range(n)):
+            # W_l = I_l A_l - p_l + W_j of joints with parent l - W_c of cut joints with child l (theory (8.4)).
             wrench, point = net[:, l], tree.point[:, l]
             for j in range(l + 1, n):
                 if topology.parents[j] == l:
@@ -183,6 +184,7 @@ def _hinge_frame_loads(
     for k, outside in outside_forces(topology, drive, result.laws):
         force, moment = _subtract_outside_forces(topology, result.motion, k, outside, force, moment)
     force, moment = apply_transposed(rotation, force), apply_transposed(rotation, moment)
+    # The drive's moment M e_y is not part of the hinge's load (theory (8.2)).
     external = hinge_moments(topology, drive)
     if external is not None:
         moment = jnp.stack([moment[0], moment[1] - external, moment[2]])
@@ -270,6 +272,7 @@ def chain_wrenches(
         motion.links.point,
     )
     wrenches = dict(zip(topology.cuts, cut_wrenches(topology, cuts, multipliers, at_cuts)))
+    # W_l = W^I of its rfes + W_j of joints with parent l - W_c of cut joints with child l (theory (8.1)).
     for l in reversed(range(n)):
         wrench = of_links[:, l]
         for j in [*range(l + 1, n), *topology.cuts]:
