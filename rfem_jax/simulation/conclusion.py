@@ -146,24 +146,24 @@ def _metrics(model: Model, summary: LoadSummary) -> Metrics:
 
 def _coordinates(model: Model, conclusion: Conclusion, rotation: bool) -> dict[str, Float[Numbers, "times ..."]]:
     """Angles or displacements by tree joint: (times,), or (times, k) of a kind that has several."""
-    found, topology, joints = {}, model.topology, conclusion.record.joints
+    by_joint, topology, joints = {}, model.topology, conclusion.record.joints
     for l, own in enumerate(topology.own_positions):
         if rotation and l in conclusion.ball_angles:
-            found[topology.joints[l]] = conclusion.ball_angles[l]
+            by_joint[topology.joints[l]] = conclusion.ball_angles[l]
             continue
         freedoms = topology.kind(l).nominal.freedoms
         wanted = [k for k, freedom in zip(own, freedoms) if freedom.rotation is rotation]
         if wanted:
-            found[topology.joints[l]] = joints[..., np.array(wanted)] if len(wanted) > 1 else joints[..., wanted[0]]
-    return found
+            by_joint[topology.joints[l]] = joints[..., np.array(wanted)] if len(wanted) > 1 else joints[..., wanted[0]]
+    return by_joint
 
 
 def _histories(model: Model, record: Record) -> dict[str, DriveHistory]:
     """Position, rate and force of every driven coordinate, by its name."""
-    topology, found = model.topology, {}
+    topology, histories = model.topology, {}
     for label, k, force in zip(topology.drive_labels, topology.drives, record.drive_forces):
-        found[label] = DriveHistory(record.joints[..., topology.place_of(k)], record.joint_rates[..., k], force)
-    return found
+        histories[label] = DriveHistory(record.joints[..., topology.place_of(k)], record.joint_rates[..., k], force)
+    return histories
 
 
 def _friction_histories(

@@ -85,7 +85,7 @@ def steady_cycle(
     model, errors = made.model, errors if made.errors is None else made.errors
     asked, revolution = require_records(model, record), Integration(model, drive, grid, method, steps)
     state, conclusion = _revolution(revolution, errors, None, asked)
-    start, found = state, []
+    start, pairs = state, []
     residual, done = np.inf, 1
     while done < most:
         state, conclusion = _revolution(revolution, errors, start, asked)
@@ -95,8 +95,8 @@ def steady_cycle(
         residual = _residual(model.topology, start, state)
         if not np.isfinite(residual) or residual <= tolerance:
             break
-        found = [*found, (before, after)][-MEMORY:]
-        start = _state(start, _mixed(found))
+        pairs = [*pairs, (before, after)][-MEMORY:]
+        start = _state(start, _mixed(pairs))
     return Cycle(
         with_status(run_of(model, conclusion), made), start, float(residual), done, bool(residual <= tolerance)
     )
@@ -236,10 +236,10 @@ def _state(like: State, numbers: Float[np.ndarray, " n"]) -> State:
     return jax.tree.unflatten(tree, made)
 
 
-def _mixed(found: list[tuple[np.ndarray, np.ndarray]]) -> Float[np.ndarray, " n"]:
+def _mixed(pairs: list[tuple[np.ndarray, np.ndarray]]) -> Float[np.ndarray, " n"]:
     """The next start by Anderson's acceleration of starts and ends of the last revolutions."""
-    starts, ends = (np.array(part) for part in zip(*found, strict=True))
-    if len(found) == 1:
+    starts, ends = (np.array(part) for part in zip(*pairs, strict=True))
+    if len(pairs) == 1:
         return ends[-1]
     # Entries relative to their size: rates are larger than deflections by the frequency.
     size = np.maximum(np.abs(ends).max(axis=0), 1e-12 * np.abs(ends).max())

@@ -63,7 +63,7 @@ class ActiveDrives(eqx.Module):
             if isinstance(drive, GivenDrive):
                 forces[k] = drive.force_at(t, passed)
             elif start is not None:
-                change, rate, acceleration = drive.motion_at(t, passed)
+                change, rate, acceleration = drive.motion_at(t, passed)  # counted from the start of the coordinate
                 motions[k] = start + change, rate, acceleration
         time = None if self.jumps is None else Instant(jnp.asarray(t), jnp.asarray((-1.0, *self.jumps))[phase])
         return DriveInput(forces, motions, time)
@@ -202,11 +202,11 @@ def _require_joint(model: Model, drive: AnyDrive) -> None:
 
 def _other_joint(model: Model, drive: AnyDrive, labels: Sequence[str]) -> InputError:
     known = [f"`{label}`" for label in model.topology.drive_labels]
-    found = "no joint of the model is driven" if not known else f"that is {' and '.join(known)}"
+    driven = "no joint of the model is driven" if not known else f"that is {' and '.join(known)}"
     wanted = labels[0] if len(labels) == 1 else list(labels)
     return InputError(
-        f"Argument `drive` must act on the model's driven joint, but acts on `{drive.joint}` and {found}; the model is "
-        f"assembled with this joint held, so describe it by Mechanism(..., driven_joint={wanted!r})."
+        f"Argument `drive` must act on the model's driven joint, but acts on `{drive.joint}` and {driven}; the model "
+        f"is assembled with this joint held, so describe it by Mechanism(..., driven_joint={wanted!r})."
     )
 
 

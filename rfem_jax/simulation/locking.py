@@ -68,10 +68,10 @@ def drive_limit(model: Model, drive: Drive, duration: float) -> DriveLimit | Non
     places = np.array([topology.place_of(k) for k in drives.prescribed])
     units = joint_units(geometry_of(model))[list(drives.prescribed)]
     turns = len(places) == 1 and not topology.slides[drives.prescribed[0]]
-    found = _follow(model, drives.prescribed, places, asked, units, turns)
-    if found is None:
+    farthest = _follow(model, drives.prescribed, places, asked, units, turns)
+    if farthest is None:
         return None
-    last, position = found
+    last, position = farthest
     time = _time_of(position, times, asked, last)
     k = drives.prescribed[0]
     start = float(model.start_joints[places[0]])
@@ -188,10 +188,10 @@ def _closed(
     """The pose at other prescribed positions; None if the loops do not close there."""
     guess = np.array(pose)
     guess[places] = target
-    found, residual, alignment, _ = close_at(model, guess, held)
+    closed, residual, alignment, _ = close_at(model, guess, held)
     if np.abs(residual).max(initial=0.0) > CLOSING_TOLERANCE or (alignment < 0.0).any():
         return None
-    return found
+    return closed
 
 
 def with_limit(run: Run, model: Model, drive: Drive) -> Run:

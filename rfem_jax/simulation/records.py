@@ -95,16 +95,16 @@ def instant_records(
     model: Model, actual: ModelWithErrors, state: State, instant: Instant, names: Sequence[str]
 ) -> dict[str, Any]:
     """Records of one instant, by their names."""
-    found: dict[str, Any] = {}
+    records: dict[str, Any] = {}
     for name in names:
         owner, _, kind = name.rpartition(".")
         if kind == "sections":
-            found[name] = loads_of_sections(model, actual, state, instant, actual.topology.links.index(owner))
+            records[name] = loads_of_sections(model, actual, state, instant, actual.topology.links.index(owner))
         if kind == "deflection":
-            found[name] = deflection(actual, instant, *divided(owner))
+            records[name] = deflection(actual, instant, *divided(owner))
         if kind == "turning":
-            found[name] = _turning(actual, instant, actual.topology.joints.index(owner))
-    return found
+            records[name] = _turning(actual, instant, actual.topology.joints.index(owner))
+    return records
 
 
 def finished_records(
@@ -115,33 +115,33 @@ def finished_records(
     names: Sequence[str],
 ) -> dict[str, Any]:
     """The records of a run, of those of all saved times and of constants."""
-    found: dict[str, Any] = {}
+    records: dict[str, Any] = {}
     for name in names:
         owner, _, kind = name.rpartition(".")
         if kind == "sections":
             edges = model.section.edges
             edge = edges[model.topology.links.index(owner)] if edges else None
-            found[name] = SectionHistory(saved[name].place[0], saved[name].resultants, edge)
+            records[name] = SectionHistory(saved[name].place[0], saved[name].resultants, edge)
         elif kind == "friction_loss":
             joint = model.topology.joints.index(owner)
             laws = sorted((model.friction or {}).items())
             wanted = [friction_losses[:, i] for i, (_, law) in enumerate(laws) if law.joint == joint]  # pyright: ignore[reportOptionalSubscript] # there is friction
-            found[name] = sum(wanted, jnp.zeros(()))
+            records[name] = sum(wanted, jnp.zeros(()))
         elif kind == "bearing":
-            found[name] = (model.bearings or {})[owner]
+            records[name] = (model.bearings or {})[owner]
         elif name == "masses":
-            found[name] = masses(actual)
+            records[name] = masses(actual)
         else:
-            found[name] = saved[name]
-    return found
+            records[name] = saved[name]
+    return records
 
 
 def masses(actual: ModelWithErrors) -> dict[str, Float[Array, ""]]:
     """Masses [kg] of the links with their point masses and bodies."""
-    topology, found = actual.topology, {}
+    topology, by_link = actual.topology, {}
     for l, (name, (a, b)) in enumerate(zip(topology.links, topology.ranges, strict=True)):
-        found[name] = actual.mass[l] + jnp.sum(actual.mass[topology.n_links + a : topology.n_links + b])
-    return found
+        by_link[name] = actual.mass[l] + jnp.sum(actual.mass[topology.n_links + a : topology.n_links + b])
+    return by_link
 
 
 def deflection(actual: ModelWithErrors, instant: Instant, name: str, fraction: float) -> Float[Array, "3"]:

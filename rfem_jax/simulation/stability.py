@@ -65,13 +65,13 @@ def largest_stable_step(model: Model, method: Method, drive: Drive = None) -> fl
     """
     require_driven(model, drive)
     vibration = Vibration(model, prescribed_coordinates(model.topology, drive))
-    found = [vibration.modes(joints) for joints in _poses(model)]
-    values = [modes.eigenvalues() for modes in found]
+    vibrations = [vibration.modes(joints) for joints in _poses(model)]
+    values = [modes.eigenvalues() for modes in vibrations]
     frequency = [np.abs(of_one).max() for of_one in values]
     limit = min(20.0 / max(*frequency, 1e-300), LONGEST_STEP)
     for pose in np.argsort(frequency)[::-1]:
 
-        def stable(step, modes=found[pose], values=values[pose]):
+        def stable(step, modes=vibrations[pose], values=values[pose]):
             return _stable(model, method, modes, values, step)
 
         if stable(limit):

@@ -94,19 +94,19 @@ def closed_poses(model: Model, positions: Float[np.ndarray, " positions"]) -> Cl
 
     **Raises:** `InputError` for a position at which the mechanism does not close.
     """
-    driven, pose, found = model.topology.driven_position, np.asarray(model.start_joints), []
+    driven, pose, closed = model.topology.driven_position, np.asarray(model.start_joints), []
     for position in positions:
         guess = np.array(pose)
         guess[driven] = position
         pose, residual, alignment, cut = close_at(model, guess)
         if np.abs(residual).max(initial=0.0) > CLOSING_TOLERANCE or (alignment < 0.0).any():
-            reached = f"; the last position that closes is {found[-1][0][driven]:.6g}" if found else ""
+            reached = f"; the last position that closes is {closed[-1][0][driven]:.6g}" if closed else ""
             raise InputError(
                 f"Argument `positions` must be ones at which the mechanism closes, but at {position:.6g} (rad or m) of "
                 f"joint `{model.driven_joint}` it does not{reached}; give a smaller range."
             )
-        found.append((pose, cut))
-    joints, cuts = (np.stack(part) for part in zip(*found, strict=True))
+        closed.append((pose, cut))
+    joints, cuts = (np.stack(part) for part in zip(*closed, strict=True))
     return ClosedPose(jnp.asarray(joints), jnp.asarray(cuts))
 
 

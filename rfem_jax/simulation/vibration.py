@@ -332,16 +332,16 @@ class Vibration:
 
     def _unit_velocities(self, placed: Placed) -> np.ndarray:
         """Velocities w (6 n, F) of rigid links at unit rates of the joint coordinates."""
-        found = np.zeros((self.topology.n_links, 6, self.topology.n_freedoms))
-        twists = np.zeros_like(found)
+        velocities = np.zeros((self.topology.n_links, 6, self.topology.n_freedoms))
+        twists = np.zeros_like(velocities)
         for l, coordinates in enumerate(self.topology.coordinates):
             if self.topology.parents[l] != BASE:
                 twists[l] = twists[self.topology.parents[l]]
             twists[l][:, list(coordinates)] += placed.twists[list(coordinates)].T
             rotation, origin = placed.rotation[l], placed.origin[l]
-            found[l, :3] = rotation.T @ twists[l, :3]
-            found[l, 3:] = rotation.T @ (twists[l, 3:] - cross_matrix(origin) @ twists[l, :3])
-        return found.reshape(self.size, -1)
+            velocities[l, :3] = rotation.T @ twists[l, :3]
+            velocities[l, 3:] = rotation.T @ (twists[l, 3:] - cross_matrix(origin) @ twists[l, :3])
+        return velocities.reshape(self.size, -1)
 
     def _spring_load(self, joints: np.ndarray, placed: Placed) -> np.ndarray:
         """Load (6 n,) of springs and laws at a position of rest, as `inverse_root` transforms it."""
@@ -366,13 +366,13 @@ class Vibration:
         in_link = (self.inverse_root @ free).reshape(n, 2, 3)
         angular, linear = np.moveaxis(np.einsum("lij,lkj->lki", placed.rotation, in_link), 1, 0)
         twists = np.concatenate([angular, linear + np.cross(placed.origin, angular)], axis=1)
-        found = np.zeros(topology.n_freedoms)
+        accelerations = np.zeros(topology.n_freedoms)
         for l, coordinates in enumerate(topology.coordinates):
             over_joint = twists[l] - (0.0 if topology.parents[l] == BASE else twists[topology.parents[l]])
             axes = placed.twists[list(coordinates)]
-            found[list(coordinates)] = np.linalg.lstsq(axes.T, over_joint, rcond=None)[0]
-        found[list(self.held)] = 0.0
-        return found
+            accelerations[list(coordinates)] = np.linalg.lstsq(axes.T, over_joint, rcond=None)[0]
+        accelerations[list(self.held)] = 0.0
+        return accelerations
 
     def _constraints(self, placed: Placed) -> sparse.csr_matrix:
         """Sparse matrix G of all joints; rows: velocities over the longest link, and angular velocities."""

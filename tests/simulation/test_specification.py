@@ -224,4 +224,4 @@ def test_cycles_of_the_version_before_work_and_warn(model):
     run = cycle_run(now, cycling)
     with pytest.warns(DeprecationWarning, match="cycle_run"):
         again = cycle_run(now, model, drive=drive, method=cycling.method, save_every=0.1)
-    np.testing.assert_array_equal(jnp.asarray(run.motion.angle), again.angle)
+    np.testing.assert_array_equal(jnp.asarray(run.motion.angle), again.motion.angle)

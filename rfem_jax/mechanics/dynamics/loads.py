@@ -106,6 +106,7 @@ def joint_loads(actual: ModelWithErrors, result: Accelerations, drive: DriveInpu
         net = apply(tree.inertia[:, :, :n], result.spatial) - tree.load[:, :n]
         wrenches: dict[int, Array] = {}
         for l in reversed(range(n)):
+            # W_l = I_l A_l - p_l + W_j of joints with parent l - W_c of cut joints with child l (theory (8.4)).
             wrench, point = net[:, l], tree.point[:, l]
             for j in range(l + 1, n):
                 if topology.parents[j] == l:
@@ -155,13 +156,13 @@ def with_least_reactions(
     """What was solved (`Solved`), and the wrenches of all joints, with multipliers for which redundant reactions are
     least, of models that ask for it."""
     cuts, hinges = result.closure, result.motion.hinges
-    found = redundancy(actual.topology, result.motion, cuts)
-    if found is None:
+    left_open = redundancy(actual.topology, result.motion, cuts)
+    if left_open is None:
         return result, wrenches
     revolute = np.array([actual.topology.kinds[j] == "revolute" for j in actual.topology.cuts])
     points = jnp.concatenate([hinges.point, jnp.where(revolute, cuts.centre, cuts.right_centre)], axis=1)
     assert actual.reaction_length is not None, "models that ask for least reactions have one"
-    change, wrenches = least_reactions(found, points, wrenches, actual.reaction_length)
+    change, wrenches = least_reactions(left_open, points, wrenches, actual.reaction_length)
     return result._replace(multipliers=result.multipliers + change), wrenches
 
 
@@ -183,6 +184,7 @@ def _hinge_frame_loads(
     for k, outside in outside_forces(topology, drive, result.laws):
         force, moment = _subtract_outside_forces(topology, result.motion, k, outside, force, moment)
     force, moment = apply_transposed(rotation, force), apply_transposed(rotation, moment)
+    # The drive's moment M e_y is not part of the hinge's load (theory (8.2)).
     external = hinge_moments(topology, drive)
     if external is not None:
         moment = jnp.stack([moment[0], moment[1] - external, moment[2]])
@@ -203,7 +205,7 @@ def contact_loads(topology: Topology, result: Placed) -> JointLoads:
     """Part of the contacts in the loads of joints with clearance: forces, and moments about the child's point; zero at
     all other joints."""
     joints, n = len(topology.joints), topology.n_links
-    found = [jnp.zeros((3, joints)), jnp.zeros((3, joints))]
+    sums = [jnp.zeros((3, joints)), jnp.zeros((3, joints))]
     for j in topology.clearances:
         assert result.frame_loads is not None, "contacts are force elements"
         exerted = result.frame_loads.exerted[clearance_name(topology.joints[j])]
@@ -214,8 +216,8 @@ def contact_loads(topology: Topology, result: Placed) -> JointLoads:
             assert result.closure is not None, "a cut joint has a closure"
             axes = result.closure.rotation[:, :, j - n]
         parts = exerted.force, exerted.moment
-        found = [sum + apply_transposed(axes, part)[:, None] * here for sum, part in zip(found, parts)]
-    return JointLoads(*found)
+        sums = [sum + apply_transposed(axes, part)[:, None] * here for sum, part in zip(sums, parts)]
+    return JointLoads(*sums)
 
 
 def _with_cut_forces(topology: Topology, joint: JointLoads, at_cuts: CutForces | None) -> JointLoads:
@@ -270,6 +272,7 @@ def chain_wrenches(
         motion.links.point,
     )
     wrenches = dict(zip(topology.cuts, cut_wrenches(topology, cuts, multipliers, at_cuts)))
+    # W_l = W^I of its rfes + W_j of joints with parent l - W_c of cut joints with child l (theory (8.1)).
     for l in reversed(range(n)):
         wrench = of_links[:, l]
         for j in [*range(l + 1, n), *topology.cuts]:

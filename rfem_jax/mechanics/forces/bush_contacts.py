@@ -57,30 +57,30 @@ def carrying(penetration: Float[Array | np.ndarray, "3"]) -> tuple[str, ...]:
 
 def pins_of(actual: ModelWithErrors) -> dict[str, PinInBush]:
     """The contacts of the joints with clearance, by the joints."""
-    topology, found = actual.topology, {}
+    topology, pins = actual.topology, {}
     for j in topology.clearances:
         assert actual.frame_forces is not None, "contacts are force elements"
         element = actual.frame_forces.elements[clearance_name(topology.joints[j])]
         assert isinstance(element, PinInBush)
-        found[topology.joints[j]] = element
-    return found
+        pins[topology.joints[j]] = element
+    return pins
 
 
 def contact_states(actual: ModelWithErrors, motion: Motion) -> dict[str, ContactState]:
     """The contacts of all joints with clearance at one instant."""
-    found = {}
+    states = {}
     for name, pin in pins_of(actual).items():
         pose = element_pose(actual.topology, motion, pin)
         contacts, along = pin.contacts(pose), pin.pin_motion(pose).centre[1]
         sizes = distance(contacts.eccentricity, 0)
-        found[name] = ContactState(
+        states[name] = ContactState(
             eccentricity=contacts.eccentricity[::2].T,
             along=along,
             penetration=contacts.depth,
             normal_force=pin.pushes(contacts).normal,
             centring=pin.centring * jnp.append(0.5 * sizes, jnp.abs(along)),
         )
-    return found
+    return states
 
 
 def contact_losses(topology: Topology, at_nodes: FrameLoads | None) -> Float[Array, " clearances"] | None:
@@ -113,14 +113,14 @@ def contact_memory(
 ) -> dict[str, ContactMemory]:
     """Memory of the contacts with restitution at one instant, by joint. `before`: memory of the previous step; None at
     the start, where closed contacts count as having no approach speed."""
-    found = {}
+    memory = {}
     for name, pin in pins_of(actual).items():
         if pin.restitution is None:
             continue
         nothing = ContactMemory(jnp.zeros(CONTACTS), jnp.zeros(CONTACTS), jnp.zeros(CONTACTS))
         old = nothing if before is None else before[name]
-        found[name] = pin.remembered(element_pose(actual.topology, motion, pin), old)
-    return found
+        memory[name] = pin.remembered(element_pose(actual.topology, motion, pin), old)
+    return memory
 
 
 def with_memory(actual: ModelWithErrors, memory: dict[str, ContactMemory]) -> ModelWithErrors:

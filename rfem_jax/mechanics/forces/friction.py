@@ -25,7 +25,7 @@ from rfem_jax.mechanics.laws.friction_laws import Friction
 from rfem_jax.mechanics.model.model import BASE, Model, State, Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
-Found = dict[str, FrictionState]
+FrictionStates = dict[str, FrictionState]
 
 
 class Ahead(NamedTuple):
@@ -66,10 +66,10 @@ def tree_friction(
     motion: Motion,
     wrenches: Sequence[Float[Array, "6"]] | None,
     ahead: Ahead | None = None,
-) -> Found:
+) -> FrictionStates:
     """Friction in the joints of the tree; `wrenches`: loads of these joints at the global origin, None before they are
     computed."""
-    found: Found = {}
+    states: FrictionStates = {}
     for name, law in _laws(actual):
         if law.coordinate is None:
             continue
@@ -80,8 +80,8 @@ def tree_friction(
             about_point = moment - cross(motion.hinges.point[:, law.joint], force)
             normal = law.load.size(force, about_point, motion.hinges.rotation[:, law.axis, law.joint])
         sliding = rate if ahead is None else rate + ahead.time * ahead.joints[law.coordinate]
-        found[name] = FrictionState(rate, sliding, normal, law.force(0.0, rate, normal, sliding))
-    return found
+        states[name] = FrictionState(rate, sliding, normal, law.force(0.0, rate, normal, sliding))
+    return states
 
 
 def cut_friction(
@@ -90,9 +90,9 @@ def cut_friction(
     cuts: Closure | None,
     multipliers: Float[Array, " constraints"] | None,
     ahead: Ahead | None = None,
-) -> Found:
+) -> FrictionStates:
     """Friction in the cut joints; `multipliers` [N], None before they are computed."""
-    found: Found = {}
+    states: FrictionStates = {}
     topology = actual.topology
     for name, law in _laws(actual):
         if law.coordinate is not None or cuts is None:
@@ -110,32 +110,32 @@ def cut_friction(
             by_group = zip(cuts.groups, cuts.by_group(multipliers), strict=True)
             force, moment = group.loads(next(rows for one, rows in by_group if one is group))
             normal = law.load.size(force[:, place], moment[:, place], cuts.rotation[:, law.axis, at])
-        found[name] = FrictionState(rate, sliding, normal, law.force(0.0, rate, normal, sliding))
-    return found
+        states[name] = FrictionState(rate, sliding, normal, law.force(0.0, rate, normal, sliding))
+    return states
 
 
-def with_friction(actual: ModelWithErrors, laws: LawForces | None, found: Found) -> LawForces | None:
+def with_friction(actual: ModelWithErrors, laws: LawForces | None, states: FrictionStates) -> LawForces | None:
     """The forces at joints with those of friction."""
-    if not found:
+    if not states:
         return laws
     zero = jnp.zeros(())
     laws = LawForces({}, {}, zero, zero) if laws is None else laws
     inside, dissipated = dict(laws.inside), laws.dissipated
     for name, law in _laws(actual):
-        force, k = found[name].force, law.coordinate
-        dissipated = dissipated - force * found[name].rate
+        force, k = states[name].force, law.coordinate
+        dissipated = dissipated - force * states[name].rate
         if k is not None:
             inside[k] = inside[k] + force if k in inside else force
-    return laws._replace(inside=inside, dissipated=dissipated, cuts=cut_forces(actual, found), friction=found)
+    return laws._replace(inside=inside, dissipated=dissipated, cuts=cut_forces(actual, states), friction=states)
 
 
-def cut_forces(actual: ModelWithErrors, found: Found) -> CutForces:
+def cut_forces(actual: ModelWithErrors, states: FrictionStates) -> CutForces:
     """Forces of friction in cut joints, as `LawForces.cuts`."""
     forces: CutForces = {}
     for name, law in _laws(actual):
-        if law.coordinate is None and name in found:
+        if law.coordinate is None and name in states:
             key = _key(actual.topology, law)
-            forces[key] = forces[key] + found[name].force if key in forces else found[name].force
+            forces[key] = forces[key] + states[name].force if key in forces else states[name].force
     return forces
 
 
@@ -148,23 +148,23 @@ def losses(laws: LawForces | None) -> Float[Array, " frictions"] | None:
 
 def node_wrenches(topology: Topology, cuts: Closure | None, forces: CutForces | None) -> dict[int, Float[Array, "6"]]:
     """Wrenches at the global origin of forces in cut joints on the nodes of their sides, but the base."""
-    found: dict[int, Array] = {}
+    wrenches: dict[int, Array] = {}
     for j, wrench in joint_wrenches(topology, cuts, forces).items():
         for node, sign in ((topology.parents[j], -1.0), (topology.children[j], 1.0)):
             if node != BASE:
-                found[node] = found[node] + sign * wrench if node in found else sign * wrench
-    return found
+                wrenches[node] = wrenches[node] + sign * wrench if node in wrenches else sign * wrench
+    return wrenches
 
 
 def joint_wrenches(topology: Topology, cuts: Closure | None, forces: CutForces | None) -> dict[int, Float[Array, "6"]]:
     """Wrenches at the global origin of forces in cut joints on their children, by joint."""
-    found: dict[int, Array] = {}
+    wrenches: dict[int, Array] = {}
     if cuts is None or forces is None:
-        return found
+        return wrenches
     for (at, component), force in forces.items():
         joint, wrench = at + topology.n_links, _unit_wrench(cuts, at, component) * force[None]
-        found[joint] = found[joint] + wrench if joint in found else wrench
-    return found
+        wrenches[joint] = wrenches[joint] + wrench if joint in wrenches else wrench
+    return wrenches
 
 
 class FrictionLine(NamedTuple):
@@ -179,7 +179,7 @@ class FrictionLine(NamedTuple):
 
 def friction_lines(
     actual: ModelWithErrors,
-    found: Found,
+    states: FrictionStates,
     before: dict[str, FrictionLine] | None = None,
     count: int | Int[Array, ""] = 0,
 ) -> dict[str, FrictionLine]:
@@ -187,7 +187,7 @@ def friction_lines(
     the law meets what is needed, which two increments before tell as a function of the rate."""
     lines = {}
     for name, law in _laws(actual):
-        rate, normal, force = found[name].sliding, found[name].normal, found[name].force
+        rate, normal, force = states[name].sliding, states[name].normal, states[name].force
         slope, needed = law.secant(rate, normal), force
         if before is not None:
             last = before[name]
@@ -201,14 +201,14 @@ def friction_lines(
 
 
 def friction_tangent(
-    actual: ModelWithErrors, found: Found, v_factor: Scalar, lines: dict[str, FrictionLine] | None = None
+    actual: ModelWithErrors, states: FrictionStates, v_factor: Scalar, lines: dict[str, FrictionLine] | None = None
 ) -> FrictionTangent:
     """Tangents of friction under its present normal load for the given derivative of the rate [s], at least zero; of
     `lines` instead, where these are given."""
     tangent = FrictionTangent({}, {})
     for name, law in _laws(actual):
-        one = found[name]
-        derivative = jnp.maximum(law.tangent(one.sliding, one.normal), 0.0) if lines is None else lines[name].slope
+        state = states[name]
+        derivative = jnp.maximum(law.tangent(state.sliding, state.normal), 0.0) if lines is None else lines[name].slope
         value = derivative * v_factor
         if (k := law.coordinate) is not None:
             tangent.tree[k] = tangent.tree[k] + value if k in tangent.tree else value

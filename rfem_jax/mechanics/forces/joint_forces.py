@@ -100,16 +100,16 @@ def applied_forces(
     topology: Topology, position: Coordinates, drive: DriveInput, laws: LawForces | None
 ) -> dict[int, Float[Array, ""]]:
     """Generalised forces [N m, N] by joint coordinate, where any acts."""
-    found: dict[int, Array] = dict(drive.forces)
+    forces: dict[int, Array] = dict(drive.forces)
     for side in () if laws is None else (laws.inside, laws.outside):
         for k, force in side.items():
-            found[k] = found[k] + force if k in found else force
+            forces[k] = forces[k] + force if k in forces else force
     for side in [] if not topology.sprung else [drive.forces, {} if laws is None else laws.outside]:
         for k, force in side.items():
             if (tilted := topology.tilted(k)) is not None:
                 share = jnp.sin(position.joints[tilted[0]]) * force
-                found[tilted[1]] = found[tilted[1]] + share if tilted[1] in found else share
-    return found
+                forces[tilted[1]] = forces[tilted[1]] + share if tilted[1] in forces else share
+    return forces
 
 
 def rate_about_axis(topology: Topology, state: State, k: int) -> Float[Array, ""]:
@@ -189,13 +189,13 @@ def law_tangent(
     """Minus the derivatives of the forces of springs, dampers and laws with respect to the accelerations of their
     coordinates, for the given derivatives of position [s^2] and rate [s]; at least zero, so that what they are added to
     stays positive."""
-    found: dict[int, Array] = {}
+    tangent: dict[int, Array] = {}
     for law in [] if actual.forces is None else actual.forces.laws.values():
         position, rate = state.position.joints[law.place], state.velocity.joints[law.coordinate]
         along = [jnp.asarray(factor, float) for factor in (q_factor, v_factor)]
         value = jnp.maximum(-jax.jvp(law.force, (position, rate), tuple(along))[1], 0.0)
-        found[law.coordinate] = found[law.coordinate] + value if law.coordinate in found else value
+        tangent[law.coordinate] = tangent[law.coordinate] + value if law.coordinate in tangent else value
     for spring in tree_springs(actual):
         values = diagonal_tangent(spring.along, *_spring_motion(spring, state), q_factor, v_factor)
-        found |= dict(zip(spring.coordinates, values))
-    return found
+        tangent |= dict(zip(spring.coordinates, values))
+    return tangent

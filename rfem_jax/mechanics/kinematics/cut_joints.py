@@ -240,13 +240,13 @@ def _scattered(parts: dict[int, Array], size: int) -> Float[Array, " constraints
 def _spring_multipliers(actual: ModelWithErrors, cuts: Closure, scale: Scalar) -> SpringMultipliers:
     """Forces of the springs of compliant cut joints (theory (13.6), (13.7))."""
     residual, rate = cuts.residual, cuts.rate
-    found, dissipated = {}, jnp.zeros(())
+    by_row, dissipated = {}, jnp.zeros(())
     for spring in cut_springs(actual):
         at, moving = (jnp.stack([values[k] for k in spring.rows]) for values in (residual, rate))
         exerted = spring.in_rows(at, moving, scale)
-        found |= dict(zip(spring.rows, exerted))
+        by_row |= dict(zip(spring.rows, exerted))
         dissipated = dissipated - dot(exerted - spring.in_rows(at, 0.0 * moving, scale), moving)
-    return SpringMultipliers(_scattered(found, residual.shape[0]), dissipated)
+    return SpringMultipliers(_scattered(by_row, residual.shape[0]), dissipated)
 
 
 def spring_row_tangent(
@@ -257,12 +257,12 @@ def spring_row_tangent(
     if cuts is None or cuts.springs is None:
         return None
     residual, rate = cuts.residual, cuts.rate
-    found = {}
+    by_row = {}
     for spring in cut_springs(actual):
         at = [jnp.stack([values[k] for k in spring.rows]) for values in (residual, rate)]
         tangent = diagonal_tangent(partial(_exerted, spring, scale), at[0], at[1], q_factor, v_factor)
-        found |= dict(zip(spring.rows, tangent))
-    return _scattered(found, residual.shape[0])
+        by_row |= dict(zip(spring.rows, tangent))
+    return _scattered(by_row, residual.shape[0])
 
 
 def _exerted(spring: CompliantSpring, scale: Scalar, residual: Array, rate: Array) -> Array:

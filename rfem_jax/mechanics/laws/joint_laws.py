@@ -43,7 +43,7 @@ class SpringLaw(JointLaw):
     preload: Float[Array, ""]
 
     def force(self, position, rate):
-        return self.preload - self.stiffness * (position - self.rest) - self.damping * rate
+        return self.preload - self.stiffness * (position - self.rest) - self.damping * rate  # theory (3.14)
 
     def energy(self, position: Float[Array, ""]) -> Float[Array, ""]:
         """Potential energy [J], zero at rest."""

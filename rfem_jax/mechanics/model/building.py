@@ -155,12 +155,12 @@ class _Mass(NamedTuple):
 
 def _masses_of(link: Link) -> list[_Mass]:
     """The body of a link, if it has one, and its point masses."""
-    found = [_Mass(point.mass, point.position, point.inertia) for point in link.point_masses]
+    masses = [_Mass(point.mass, point.position, point.inertia) for point in link.point_masses]
     if link.body is None:
-        return found
+        return masses
     tensor = link.body.tensor
     products = (tensor[0, 1], tensor[0, 2], tensor[1, 2])
-    return [_Mass(link.body.mass, link.body.centre, [tensor[i, i] for i in range(3)], products), *found]
+    return [_Mass(link.body.mass, link.body.centre, [tensor[i, i] for i in range(3)], products), *masses]
 
 
 def _coordinate(joints: Sequence[Joint], joint: str, motion: str) -> int:
@@ -173,43 +173,43 @@ def _coordinate(joints: Sequence[Joint], joint: str, motion: str) -> int:
 
 def _joint_laws(parts: Parts, topology: Topology) -> dict[str, JointLaw]:
     """The forces along joint coordinates, by their names."""
-    found = {}
+    laws = {}
     for force in parts.forces:
         if isinstance(force, JointFriction) or not isinstance(force, JointForce):
             continue
         joint = topology.joints.index(force.joint)
         n = force.coordinate(parts.joint(force.joint))
-        found[force.name] = joint_law(force, topology.own_coordinates[joint][n], topology.own_positions[joint][n])
-    return found
+        laws[force.name] = joint_law(force, topology.own_coordinates[joint][n], topology.own_positions[joint][n])
+    return laws
 
 
 def _frictions(parts: Parts, topology: Topology) -> dict[str, Friction]:
     """Friction in joints, by its names."""
-    found = {}
+    frictions = {}
     for force in parts.forces:
         if isinstance(force, JointFriction):
             joint, described = topology.joints.index(force.joint), parts.joint(force.joint)
             n, places = force.coordinate(described), (None, None)
             if not described.cut:
                 places = topology.own_coordinates[joint][n], topology.own_positions[joint][n]
-            found[force.name] = friction_law(force, described, joint, *places)
-    return found
+            frictions[force.name] = friction_law(force, described, joint, *places)
+    return frictions
 
 
 def _springs(parts: Parts, topology: Topology) -> dict[str, CompliantSpring]:
     """The springs of compliant joints by names as "A.radial"."""
-    found = {}
+    springs = {}
     for j, joint in enumerate(topology.joints):
         for spring in parts.springs_of(joint):
             if j < topology.n_links:
                 named = list(enumerate(topology.kind(j).freedoms))
                 at = [n for n, one in named if f"{'TR'[one.rotation]}_{'xyz'[one.axis]}" in spring.motions]
                 rates, numbers = topology.coordinates[j], topology.positions[j]
-                made = compliant_spring(spring, tuple(rates[n] for n in at), tuple(numbers[n] for n in at), ())
+                law = compliant_spring(spring, tuple(rates[n] for n in at), tuple(numbers[n] for n in at), ())
             else:
-                made = compliant_spring(spring, (), (), _rows_of(topology, j, spring.motions))
-            found[f"{joint}.{spring.name}"] = made
-    return found
+                law = compliant_spring(spring, (), (), _rows_of(topology, j, spring.motions))
+            springs[f"{joint}.{spring.name}"] = law
+    return springs
 
 
 def _rows_of(topology: Topology, cut: int, motions: Sequence[str]) -> tuple[int, ...]:
@@ -223,7 +223,7 @@ def _rows_of(topology: Topology, cut: int, motions: Sequence[str]) -> tuple[int,
 
 def _force_nodes(mechanism: Mechanism, links: "_Links") -> ForceNodes:
     """The nodes of the ends of all forces at points and between them, by the names of the forces."""
-    found = []
+    named_nodes = []
     for force in mechanism.point_forces:
         nodes = tuple(links.attach(name, place, False).node for name, place in force.ends())
         if isinstance(force, BetweenPoints) and nodes[0] == nodes[1]:
@@ -231,13 +231,13 @@ def _force_nodes(mechanism: Mechanism, links: "_Links") -> ForceNodes:
                 f"Argument `points` of force `{force.name}` must move against each other, but both lie on one rigid "
                 f"finite element of link `{force.links[0]}`; move them apart, or divide the link more finely."
             )
-        found.append((force.name, nodes))
-    return tuple(found)
+        named_nodes.append((force.name, nodes))
+    return tuple(named_nodes)
 
 
 def _frame_forces(parts: Parts, topology: Topology, links: Sequence[Link], points: ForceNodes) -> dict[str, FrameForce]:
     """The forces at points and between them, by their names."""
-    found: dict[str, FrameForce] = {}
+    elements: dict[str, FrameForce] = {}
     nodes, unit = dict(points), jnp.eye(3)
     base = NodeFrame(BASE, unit, jnp.zeros(3))
     for force in parts.forces:
@@ -248,11 +248,11 @@ def _frame_forces(parts: Parts, topology: Topology, links: Sequence[Link], point
             position = jnp.asarray(array_of(_node_place(topology, links, node, place, False)))
             frames.append(NodeFrame(node, unit, position))
         if isinstance(force, BetweenPoints):
-            found[force.name] = spring_between(force, *frames)
+            elements[force.name] = spring_between(force, *frames)
         else:
             assert isinstance(force, AtPoint)
-            found[force.name] = load_at(force, base, frames[0])
-    return found
+            elements[force.name] = load_at(force, base, frames[0])
+    return elements
 
 
 def _node_place(

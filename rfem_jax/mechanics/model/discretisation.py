@@ -143,13 +143,13 @@ def _closed_as_given(model: Model, given: Float[np.ndarray, " numbers"]) -> Mode
 
 def _rates_given(model: Model, mechanism: Mechanism) -> dict[int, str]:
     """{coordinate with an initial rate: the argument that gives it}; zeros in lists are of those that may follow."""
-    topology, found = model.topology, {}
+    topology, rates = model.topology, {}
     for l, name in enumerate(topology.joints[: topology.n_links]):
         joint = mechanism.joint(name)
         for k, rate in zip(topology.own_coordinates[l], joint.start_rates, strict=True):
             if rate is not None and (joint.rates is None or rate != 0.0):
-                found[k] = f"`{joint.rate_field(topology.freedoms[k].rotation)}` of joint `{name}`"
-    return found
+                rates[k] = f"`{joint.rate_field(topology.freedoms[k].rotation)}` of joint `{name}`"
+    return rates
 
 
 def _remembering(model: Model, structure: Structure) -> Model:
@@ -251,7 +251,7 @@ def _idle_coordinates(model: Model) -> dict[int, str]:
     driven = [topology.link_of_freedom[k] for k in topology.drives]
     ends = zip(topology.parents, topology.children)
     pairs = [tuple(-1 if node == BASE else topology.link_of(node) for node in pair) for pair in ends]
-    found = {}
+    idle = {}
     for l in range(n):
         joined = [a if b == l else b for a, b in pairs if l in (a, b)]
         if len(joined) < 2 or max(joined) < 0 or l in driven:
@@ -265,8 +265,8 @@ def _idle_coordinates(model: Model) -> dict[int, str]:
         from scipy.linalg import qr  # few mechanisms need it, and it takes a tenth of a second
 
         *_, order = qr(motions[list(topology.coordinates[l])].T, mode="r", pivoting=True)
-        found |= {topology.coordinates[l][k]: topology.links[l] for k in order[: motions.shape[1]]}
-    return found
+        idle |= {topology.coordinates[l][k]: topology.links[l] for k in order[: motions.shape[1]]}
+    return idle
 
 
 def _with_dependent_drives(model: Model, joints: Float[np.ndarray, " numbers"]) -> Topology:
@@ -291,13 +291,13 @@ def _stretching(model: Model, placed: Placed, law: PointLaw, twists: np.ndarray)
     geometry = geometry_of(model)
     one, other = _places(geometry, placed, law)
     direction = (other - one) / np.linalg.norm(other - one)
-    found = np.zeros((1, twists.shape[2]))
+    change = np.zeros((1, twists.shape[2]))
     for end, sign in ((law.parent, -1.0), (law.child, 1.0)):
         if end.node != BASE:
             of_link = twists[model.topology.link_of(end.node)]
             arm = np.cross(other / geometry.scale, direction)  # of a force along the line, about the origin
-            found += sign * (arm @ of_link[:3] + direction @ of_link[3:])
-    return found
+            change += sign * (arm @ of_link[:3] + direction @ of_link[3:])
+    return change
 
 
 def close_at(

@@ -75,37 +75,37 @@ def nearest_closed(
     start[:, [topology.place_of(k) for k in topology.sprung_coordinates]] = 0.0
     if topology.n_cuts == 0:
         return start
-    found, left = _close(geometry, start, topology.held)
+    closed, left = _close(geometry, start, topology.held)
     again = ~(left < CLOSED)
     if again.any() and topology.held:
-        found[again], _ = _close(geometry, start[again], ())
-    return found
+        closed[again], _ = _close(geometry, start[again], ())
+    return closed
 
 
 def _close(
     geometry: NominalGeometry, start: Float[np.ndarray, "times numbers"], held: tuple[int, ...]
 ) -> tuple[Float[np.ndarray, "times numbers"], Float[np.ndarray, " times"]]:
     """The closed positions with some coordinates held, and the largest residual that is left."""
-    topology, found = geometry.topology, start
+    topology, positions = geometry.topology, start
     kept = {*held, *topology.sprung_coordinates}
     free = [k for k in range(topology.n_freedoms) if k not in kept]
     units = joint_units(geometry)
     probes = STEP * np.eye(topology.n_freedoms)[free]  # (free, F)
-    residual = gaps(geometry, place(geometry, found)).residual
+    residual = gaps(geometry, place(geometry, positions)).residual
     for _ in range(ITERATIONS):
         if not free or not np.any(np.abs(residual) >= CLOSED):
             break
-        beside = moved(topology, np.repeat(found[:, None], len(free), axis=1), probes * units)
+        beside = moved(topology, np.repeat(positions[:, None], len(free), axis=1), probes * units)
         change = gaps(geometry, place(geometry, beside)).residual - residual[:, None]
         by_unit = np.moveaxis(np.nan_to_num(change), 1, 2) / STEP
         step = -shortest(by_unit, np.nan_to_num(residual), REDUNDANT)
         size = np.linalg.norm(step, axis=1, keepdims=True)
         step *= np.minimum(1.0, LONGEST / np.maximum(size, LONGEST))
-        whole = np.zeros((len(found), topology.n_freedoms))
+        whole = np.zeros((len(positions), topology.n_freedoms))
         whole[:, free] = step
-        found = moved(topology, found, whole * units)
-        residual = gaps(geometry, place(geometry, found)).residual
-    return found, np.max(np.abs(residual), axis=1, initial=0.0)
+        positions = moved(topology, positions, whole * units)
+        residual = gaps(geometry, place(geometry, positions)).residual
+    return positions, np.max(np.abs(residual), axis=1, initial=0.0)
 
 
 def _points(

@@ -74,9 +74,9 @@ def _motions(model: Model) -> Float[np.ndarray, "freedoms motions"]:
 
 def _own(topology: Topology) -> Bool[np.ndarray, " freedoms"]:
     """For every coordinate whether it is a joint's own, and not that of a spring."""
-    found = np.ones(topology.n_freedoms, dtype=bool)
-    found[list(topology.sprung_coordinates)] = False
-    return found
+    own = np.ones(topology.n_freedoms, dtype=bool)
+    own[list(topology.sprung_coordinates)] = False
+    return own
 
 
 def _hold_coordinate(motions: Float[np.ndarray, "freedoms motions"], k: int) -> Float[np.ndarray, "freedoms motions"]:

@@ -276,6 +276,7 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
             errors.twist,
             topology,
         )
+        # P and P_c of theory (2.4): a crooked pin stresses nothing at the start angle.
         pin = vectors.product(vectors.rotation_z(errors.pin[1]), vectors.rotation_x(errors.pin[0]))
         start = vectors.rotation_y(_start_angles(model))
         pin_in_child = vectors.transposed_product(start, vectors.product(pin, start))
@@ -371,12 +372,14 @@ def _side(
     topology: Topology,
 ) -> tuple[Float[Array, "3 3 joints"], Float[Array, "3 joints"]]:
     """Frames of all joints on one side: nominal frame, stretched and twisted link, error."""
+    # F' of theory (2.5): x grows with the link, and the frames at its end turn with the twist.
     link = np.array([0 if node < 0 else topology.link_of(node) for node in nodes])
     on_link = np.array([node >= 0 for node in nodes])
     stretch = jnp.where(on_link, _link_values(scale, link), 1.0)
     position = jnp.concatenate([position[:1] * stretch[None], position[1:]])
     twisted = vectors.rotation_x(jnp.where(on_link & np.array(at_end), _link_values(twist, link), 0.0))
     rotation = vectors.product(twisted, rotation)
+    # F' E with E = [R_z(delta_z) R_y(delta_y) R_x(delta_x), (d_x, d_y, d_z)] of theory (2.3), (2.17).
     tilt = vectors.rotation_x(error[0])
     if "delta_y" in topology.error_components:
         tilt = vectors.product(vectors.rotation_y(error[5]), tilt)

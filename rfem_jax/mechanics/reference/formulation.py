@@ -190,13 +190,13 @@ def _spring_work(actual: ModelWithErrors, state: State, q: Coordinates, qd: Coor
 
 def _joint_transforms(actual: ModelWithErrors, position: Coordinates, change: Coordinates) -> dict[str, Array]:
     """Transforms from the frame on the parent to that on the child, by the names of joints."""
-    frames, topology, found = [*transforms(actual, position, change), jnp.eye(4)], actual.topology, {}
+    frames, topology, by_joint = [*transforms(actual, position, change), jnp.eye(4)], actual.topology, {}
     for j, name in enumerate(topology.joints):
         left = _transform(actual.seat_rotation[:, :, j], actual.seat_position[:, j])
         right = _transform(actual.bore_rotation[:, :, j], actual.bore_position[:, j])
         left, right = frames[topology.parents[j]] @ left, frames[topology.children[j]] @ right
-        found[name] = jnp.linalg.inv(left) @ right
-    return found
+        by_joint[name] = jnp.linalg.inv(left) @ right
+    return by_joint
 
 
 def _displacement(relative: Array, motions: tuple[str, ...], axis: int | None, universal: bool) -> Array:
@@ -320,9 +320,9 @@ def element_wrenches(
 ) -> list[tuple[int, Float[Array, "6"]]]:
     """Nodes, and the wrenches at the global origin that force elements exert on them, from the transforms of all nodes
     and their rates."""
-    found, forces = [], actual.frame_forces
+    wrenches, forces = [], actual.frame_forces
     if forces is None:
-        return found
+        return wrenches
     for element in forces.elements.values():
 
         def placed(frames, element=element):
@@ -335,8 +335,8 @@ def element_wrenches(
         wrench = element.wrench(pose, START if drive.time is None else drive.time)
         force, moment = (forces.share * parent[:3, :3] @ part for part in wrench)
         at_origin = jnp.concatenate([moment + jnp.cross(child[:3, 3], force), force])
-        found += [(element.child.node, at_origin), (element.parent.node, -at_origin)]
-    return found
+        wrenches += [(element.child.node, at_origin), (element.parent.node, -at_origin)]
+    return wrenches
 
 
 def _framed(frames: Array, end: NodeFrame) -> Array:

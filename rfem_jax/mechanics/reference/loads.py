@@ -34,13 +34,13 @@ def reference_reactions(
 ) -> tuple[Coordinates, Float[Array, "6 joints"]]:
     """Second derivatives of the coordinates, and force [N] and moment [N m] of all joints, about the child's point and
     in its axes; of redundant reactions the least. Without friction."""
-    found, multipliers = reference_accelerations(actual, state, drive, stabilisation)
+    accelerations, multipliers = reference_accelerations(actual, state, drive, stabilisation)
     still, unravel = ravel_pytree(jax.tree.map(jnp.zeros_like, state.velocity))
     frames = transforms(actual, state.position, unravel(still))
     length = jnp.ones(()) if actual.reaction_length is None else actual.reaction_length
 
     def loads_of(multipliers):
-        wrenches = reference_wrenches(actual, state, drive, found, multipliers, stabilisation.scale)
+        wrenches = reference_wrenches(actual, state, drive, accelerations, multipliers, stabilisation.scale)
         parts = []
         for j, wrench in enumerate(wrenches):
             right = joint_frames(actual, frames, j)[1]
@@ -53,7 +53,7 @@ def reference_reactions(
         among = jax.jacfwd(loads_of)(multipliers) @ onto
         multipliers = multipliers - onto @ jnp.linalg.pinv(among, rtol=1e-9) @ loads_of(multipliers)
     loads = loads_of(multipliers).reshape(-1, 6).T
-    return found, jnp.concatenate([loads[:3], loads[3:] * length])
+    return accelerations, jnp.concatenate([loads[:3], loads[3:] * length])
 
 
 def reference_wrenches(
@@ -133,7 +133,7 @@ def _cut_wrenches(
     scale: Scalar,
 ) -> dict[tuple[int, int], Array]:
     """Wrenches (6,) at the global origin of multipliers and friction in the cut joints, by (joint, node)."""
-    topology, found = actual.topology, {}
+    topology, wrenches = actual.topology, {}
     for joint, rows in zip(topology.cuts, topology.constraints, strict=True):
         frictions = [(law.component, friction[i]) for i, (_, law) in enumerate(laws) if law.joint == joint]
 
@@ -151,5 +151,5 @@ def _cut_wrenches(
             return done
 
         for node in {topology.parents[joint], topology.children[joint]} - {BASE}:
-            found[joint, node] = jax.grad(work)(jnp.zeros(6), node)
-    return found
+            wrenches[joint, node] = jax.grad(work)(jnp.zeros(6), node)
+    return wrenches

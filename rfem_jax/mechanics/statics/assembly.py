@@ -224,12 +224,12 @@ class _Scaled(NamedTuple):
     ) -> Array:
         """The residual with multipliers that the motion leaves open in the places of equations that say nothing new."""
         motion = motion_of(actual, loads.static_state(self.topology, position))
-        found = redundancy(self.topology, motion, closure(actual, motion, self.length))
-        if found is None:
+        left_open = redundancy(self.topology, motion, closure(actual, motion, self.length))
+        if left_open is None:
             return residual
         works, closing = residual[: self.units.size], residual[self.units.size :]
         multipliers = unknowns[self.units.size :]
-        return jnp.concatenate([works, closing + found.open @ (multipliers - closing)])
+        return jnp.concatenate([works, closing + left_open.open @ (multipliers - closing)])
 
     def unscaled(self, residual: Array) -> tuple[Coordinates, Array]:
         """Generalised forces and closing [m] (of springs [N]) of a flat residual."""
@@ -332,7 +332,9 @@ def equilibrium(
 
 
 @kernel
-def _status_of(actual: ModelWithErrors, position: Coordinates, found: Bool[Array, ""], scale: Scalar) -> Int[Array, ""]:
+def _status_of(
+    actual: ModelWithErrors, position: Coordinates, converged: Bool[Array, ""], scale: Scalar
+) -> Int[Array, ""]:
     """Status of a position, and of the search for it."""
     in_range = range_used(actual.topology, position) < 1.0
     cuts = closure(actual, motion_of(actual, loads.static_state(actual.topology, position)), scale)
@@ -340,9 +342,9 @@ def _status_of(actual: ModelWithErrors, position: Coordinates, found: Bool[Array
     if cuts is not None and actual.topology.minimum_norm:
         # The search does not see directions in which nothing gives way.
         rigid = np.flatnonzero(~np.array(cuts.sprung_rows or (False,) * cuts.residual.shape[0]))
-        found = found & (jnp.max(jnp.abs(cuts.residual[rigid]), initial=0.0) <= RIGID_CLOSING_TOLERANCE * scale)
+        converged = converged & (jnp.max(jnp.abs(cuts.residual[rigid]), initial=0.0) <= RIGID_CLOSING_TOLERANCE * scale)
     status = jnp.where(right_side, jnp.where(in_range, OK, OUT_OF_RANGE), WRONG_SIDE)
-    status = jnp.where(found, status, _cause_of(actual.topology, cuts, in_range, scale))
+    status = jnp.where(converged, status, _cause_of(actual.topology, cuts, in_range, scale))
     return jnp.where(actual.possible > 0.0, status, DESIGN_OUT_OF_RANGE).astype(jnp.int32)
 
 

@@ -138,8 +138,8 @@ def search_contact(
     search = _Search(equations, Units(*scales))
     undeformed, guess = starts
     shared = eqx.tree_at(lambda a: a.frame_forces.share, perfect[0], jnp.ones(()))
-    near, found = search.chord(guess, undeformed, (shared, perfect[1]), loaded)
+    near, converged = search.chord(guess, undeformed, (shared, perfect[1]), loaded)
     rotation = equations.coordinates(near - guess).elastic[3:]
-    found = found & (jnp.max(jnp.abs(rotation), initial=0.0) < LARGEST_ROTATION_OF_A_STEP)
-    end, reached = load_steps(equations, undeformed, perfect, loaded, search.newton, found)
-    return jnp.where(found, near, end), reached
+    converged = converged & (jnp.max(jnp.abs(rotation), initial=0.0) < LARGEST_ROTATION_OF_A_STEP)
+    end, reached = load_steps(equations, undeformed, perfect, loaded, search.newton, converged)
+    return jnp.where(converged, near, end), reached

@@ -290,7 +290,7 @@ def _possible(parts: Parts, numbers: list[tuple[Parameter, Array]]) -> Bool[Arra
 
 def _longest_arm(model: Model) -> Float[Array, ""]:
     """By how much any point lies outside the segment of the rfe that holds it, over the distance of two sdes."""
-    topology, found = model.topology, [jnp.zeros(())]
+    topology, arms = model.topology, [jnp.zeros(())]
     places = [
         *zip(topology.parents, model.parent_position.T),
         *zip(topology.children, model.child_position.T),
@@ -307,8 +307,8 @@ def _longest_arm(model: Model) -> Float[Array, ""]:
         low, high = (0.0, shares[0]) if i == 0 else (-0.5 * shares[i], 0.5 * shares[i])
         x = position[0] / model.length[link]
         beyond = jnp.maximum(low - x, x - high)
-        found.append(jnp.maximum(beyond, 0.0) * (topology.elements[link] - 1))
-    return jnp.max(jnp.stack(found))
+        arms.append(jnp.maximum(beyond, 0.0) * (topology.elements[link] - 1))
+    return jnp.max(jnp.stack(arms))
 
 
 def status_of(status: Int[Array, "*positions"], made: Designed) -> Int[Array, "*positions"]:

@@ -72,8 +72,8 @@ def chord(
         loaded = 1.0 + jnp.max(jnp.abs(unknowns[n:]), initial=0.0)
         return value, preconditioner(value), rows * loaded
 
-    near, found = iterate(n, start, CHORD_ITERATIONS, constant, tolerance=CHORD_TOLERANCE)
-    return newton(equations, jnp.where(found, near, start), args, found=found)
+    near, converged = iterate(n, start, CHORD_ITERATIONS, constant, tolerance=CHORD_TOLERANCE)
+    return newton(equations, jnp.where(converged, near, start), args, converged=converged)
 
 
 def solve_dense(equations: Equations, linear: Linear, value: Float[Array, " n"]) -> Float[Array, " n"]:
@@ -116,11 +116,11 @@ def _refine(linear: Linear, value: Array, preconditioner: Linear, tolerance: flo
         return increment * increment <= tolerance * _size(x) * before
 
     def going_on(carry):
-        *found, count = carry
-        _, increment, before = found
+        *state, count = carry
+        _, increment, before = state
         # The first increment sets the angles; only the second sets the coordinates that follow from these.
         shrinking = (increment < before) | (count < 3)
-        return ~next_is_small(tolerance, *found) & shrinking & (count < LINEAR_ITERATIONS)
+        return ~next_is_small(tolerance, *state) & shrinking & (count < LINEAR_ITERATIONS)
 
     def improve(carry):
         x, increment, _, count = carry
@@ -129,8 +129,8 @@ def _refine(linear: Linear, value: Array, preconditioner: Linear, tolerance: flo
 
     first = preconditioner(value)
     carry = (first, _size(first), _size(first), jnp.ones((), jnp.int32))
-    *found, _ = jax.lax.while_loop(going_on, improve, carry)
-    return found[0], next_is_small(LARGEST_LINEAR_ERROR, *found)
+    *state, _ = jax.lax.while_loop(going_on, improve, carry)
+    return state[0], next_is_small(LARGEST_LINEAR_ERROR, *state)
 
 
 def _size(x: Array) -> Array:
@@ -157,9 +157,9 @@ def newton(
     start: Float[Array, " n"],
     args: Any,
     iterations: int = MAX_ITERATIONS,
-    found: bool | Bool[Array, ""] = False,
+    converged: bool | Bool[Array, ""] = False,
 ) -> tuple[Float[Array, " n"], Bool[Array, ""]]:
-    """Unknowns after Newton's method and whether it converged; it does nothing if `found` is true."""
+    """Unknowns after Newton's method and whether it converged; it does nothing if `converged` is true at the start."""
 
     n = equations.n_coordinates
 
@@ -168,7 +168,7 @@ def newton(
         size = jnp.concatenate([jnp.ones(n), 1.0 + jnp.abs(unknowns[n:])])
         return value, equations.solve(jacobian, value), jnp.abs(jacobian) @ size
 
-    return iterate(n, start, iterations, present, found)
+    return iterate(n, start, iterations, present, converged)
 
 
 def iterate(
@@ -210,7 +210,7 @@ def load_steps(
     unloaded: Any,
     loaded: Any,
     solver: Solver | None = None,
-    found: bool | Bool[Array, ""] = False,
+    converged: bool | Bool[Array, ""] = False,
 ) -> tuple[Float[Array, " n"], Bool[Array, ""]]:
     """Unknowns of the equilibrium under full load, followed from the unloaded one, and whether it was reached.
 
@@ -218,7 +218,7 @@ def load_steps(
     the equations): all at once first; a step on which Newton's method does not converge, or changes the angles
     of an rfe by so much that the equilibrium may be another one, is halved, any other is followed by one twice
     as long. The constants of the mechanism are interpolated, so that on the way the rotations of its frames
-    hold to second order in the errors only. `solver` is Newton's method unless given; nothing is done if `found`.
+    hold to second order in the errors only. `solver` is Newton's method unless given; nothing is done if `converged`.
     """
     solver = functools.partial(newton, equations) if solver is None else solver
 
@@ -230,18 +230,18 @@ def load_steps(
         unknowns, reached, step, count = carry
         share = jnp.minimum(reached + step, 1.0)
         args = jax.tree.map(lambda a, b: a + share * (b - a), unloaded, loaded)
-        new, found = solver(unknowns, args, ITERATIONS_OF_A_STEP)
+        new, converged = solver(unknowns, args, ITERATIONS_OF_A_STEP)
         rotation = equations.coordinates(new - unknowns).elastic[3:]
-        found = found & (jnp.max(jnp.abs(rotation), initial=0.0) < LARGEST_ROTATION_OF_A_STEP)
+        converged = converged & (jnp.max(jnp.abs(rotation), initial=0.0) < LARGEST_ROTATION_OF_A_STEP)
         return (
-            jnp.where(found, new, unknowns),
-            jnp.where(found, share, reached),
-            jnp.where(found, 2.0 * step, 0.5 * step),
+            jnp.where(converged, new, unknowns),
+            jnp.where(converged, share, reached),
+            jnp.where(converged, 2.0 * step, 0.5 * step),
             count + 1,
         )
 
     one = jnp.ones(())
-    carry = (start, jnp.asarray(found, float), one, jnp.zeros((), jnp.int32))
+    carry = (start, jnp.asarray(converged, float), one, jnp.zeros((), jnp.int32))
     unknowns, reached, _, _ = jax.lax.while_loop(going_on, advance, carry)
     return unknowns, reached >= 1.0
 

@@ -92,9 +92,9 @@ def register_method(kind: type[Method], make_solver: Callable[[Any], diffrax.Abs
             names: ClassVar[tuple[str, ...]] = ("kutta3",)
 
         register_method(Kutta, lambda method: KuttaSolver())
-        run = simulate(model, errors, method=Kutta(step=1e-5), ...)
+        run = simulate(Simulation(model, method=Kutta(step=1e-5), ...), errors)
 
-    Programs of such a method are compiled in every process: nothing is known of its source.
+    Programs of such a method are compiled in every process, because its source is not part of their keys.
 
     **Arguments:** `kind`: a frozen dataclass derived from `Method` (or from a class of methods) whose one name in
     `names` is its own; its other fields are settings, made by `description.methods.setting`. `make_solver`: from a
@@ -104,7 +104,7 @@ def register_method(kind: type[Method], make_solver: Callable[[Any], diffrax.Abs
     (`implicit = True` in the class) is an `IntervalSolver`. Steps of an explicit method are checked for stability only
     if it derives from `diffrax.AbstractERK`.
 
-    **Raises:** `InputError` for a class that is not of this form, or a name that is known already.
+    **Raises:** `InputError` for a class that is not of this form, or a name that another method has.
     """
     add_method_class(kind)
     _MAKERS[kind] = make_solver

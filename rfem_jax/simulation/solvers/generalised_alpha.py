@@ -416,6 +416,7 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         if topology.exact:
             moving = h > 0.0
             step = jnp.where(moving, h, 1.0)
+            # The accelerations with which (7.1) gives q1 = q0 (theory (7.6)).
             old, a0 = accelerations.elastic, memory.auxiliary.elastic
             a1 = -(trajectory.velocity.elastic / step + (0.5 - self.beta) * a0) / self.beta
             mixed = (1.0 - self.alpha_m) * a1 + self.alpha_m * a0 - self.alpha_f * old
@@ -484,12 +485,13 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         """Newmark's formulas: (q1, v1) from v1', with the prescribed motion imposed, and a1."""
         moving = h > 0.0
 
-        def auxiliary(new, old, a):
+        def auxiliary(new, old, a):  # a1 of theory (7.2); in a step of length zero a1 = v1'
             mixed = (1.0 - self.alpha_f) * new + self.alpha_f * old - self.alpha_m * a
             return jnp.where(moving, mixed / (1.0 - self.alpha_m), new)
 
         a0 = memory.auxiliary
         a1 = jax.tree.map(auxiliary, accelerations, memory.accelerations, a0)
+        # q1 and v1 of theory (7.1).
         change = jax.tree.map(
             lambda v, a, b: h * (v + h * ((0.5 - self.beta) * a + self.beta * b)), trajectory.velocity, a0, a1
         )
