@@ -32,8 +32,9 @@ from exudyn_joints import JointSensors, LinkageJoint, Side, axis_of, constrain
 
 from rfem_jax.mechanics.dynamics.loads import static_state
 from rfem_jax.mechanics.kinematics.motion import all_frames, motion_of
+from rfem_jax.mechanics.model.errors import AssemblyErrors
 from rfem_jax.mechanics.model.model import BASE, Model
-from rfem_jax.mechanics.model.with_errors import AssemblyErrors, apply_errors
+from rfem_jax.mechanics.model.with_errors import apply_errors
 
 __all__ = ["BACK", "HINGE", "Settings", "build", "exu", "linkage"]
 

@@ -23,8 +23,8 @@ from exudyn_models import BACK, Settings, build, exu, linkage
 
 from rfem_jax.description.basics.joint_kinds import KINDS
 from rfem_jax.description.drives.rotations import GivenDrive
+from rfem_jax.mechanics.model.errors import AssemblyErrors
 from rfem_jax.mechanics.model.model import Model
-from rfem_jax.mechanics.model.with_errors import AssemblyErrors
 
 ANGLE_DIFFERENCE = 1e-4  # rad, for the quasi-static start velocities
 

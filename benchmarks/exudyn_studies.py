@@ -25,7 +25,7 @@ from exudyn_speed import FULL, variants
 from speed_timing import run_once
 
 from rfem_jax import STATUS, GeneralisedAlpha, Simulation, assemble, assembly_errors, discretise, simulate
-from rfem_jax.mechanics.model.with_errors import AssemblyErrors
+from rfem_jax.mechanics.model.errors import AssemblyErrors
 from rfem_jax.simulation.accuracy import loads_of_trials
 from rfem_jax.simulation.integration import grid_for, prepare_batch
 from rfem_jax.simulation.solvers.generalised_alpha import ACCURACY_OF_TOLERANCE

@@ -54,9 +54,10 @@ from rfem_jax.description.methods import named_method
 from rfem_jax.kernels import is_available, kernel
 from rfem_jax.mechanics.dynamics.dynamics import accelerations
 from rfem_jax.mechanics.dynamics.loads import static_state
+from rfem_jax.mechanics.model.errors import assembly_errors
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.model.model import State
-from rfem_jax.mechanics.model.with_errors import apply_errors, assembly_errors, with_structural_zeros
+from rfem_jax.mechanics.model.with_errors import apply_errors, with_structural_zeros
 from rfem_jax.mechanics.reference.formulation import reference_accelerations
 from rfem_jax.simulation.run import RESIDUAL_LIMIT
 

@@ -15,9 +15,9 @@ statics      assembled start state and preload; other numbers of a model (design
 """
 
 from rfem_jax.mechanics.model.discretisation import Structure, describe, discretise
+from rfem_jax.mechanics.model.errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.model.model import Coordinates, Model, State
 from rfem_jax.mechanics.model.status import STATUS
-from rfem_jax.mechanics.model.with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.statics.assembly import Assembled, Load, assemble
 from rfem_jax.mechanics.statics.designs import Design, design, designed, parameters
 

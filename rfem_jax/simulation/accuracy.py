@@ -24,9 +24,9 @@ from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.methods import DEFAULT_ACCURACY, Automatic, GeneralisedAlpha, Method, RungeKutta4
 from rfem_jax.mechanics.dynamics.loads import has_tables_over_position
 from rfem_jax.mechanics.forces.friction import require_implicit
+from rfem_jax.mechanics.model.errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.status import OK
-from rfem_jax.mechanics.model.with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.simulation import balances, integration
 from rfem_jax.simulation.conclusion import joint_places, load_summary
 from rfem_jax.simulation.driving import Drive, require_driven

@@ -18,8 +18,8 @@ from rfem_jax.description.methods import Method
 from rfem_jax.description.metrics.catalogue import records_for
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.labelled_data import DataFrame, Dataset, frame
+from rfem_jax.mechanics.model.errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.model.model import Model
-from rfem_jax.mechanics.model.with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.statics.designs import model_of_study
 from rfem_jax.simulation import integration, labelled_runs
 from rfem_jax.simulation.accuracy import choose_method

@@ -26,8 +26,8 @@ from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.drives.driven_motions import each_drive
 from rfem_jax.description.drives.rotations import PrescribedRate
 from rfem_jax.mechanics.laws.point_laws import changing
+from rfem_jax.mechanics.model.errors import Errors, errors_of
 from rfem_jax.mechanics.model.model import Model, State, Topology
-from rfem_jax.mechanics.model.with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.statics.designs import Design, designed
 from rfem_jax.simulation import integration
 from rfem_jax.simulation.conclusion import Conclusion, run_of, with_status
@@ -58,7 +58,7 @@ class Cycle(eqx.Module):
 
 def steady_cycle(
     simulation: Simulation | Model,
-    errors: AssemblyErrors | None = None,
+    errors: Errors | None = None,
     *,
     tolerance: float = 1e-6,
     most: int = 200,
@@ -80,7 +80,7 @@ def steady_cycle(
     model, method, design = simulation.model, simulation.chosen, simulation.design
     drive, period = _with_period(model, require_constant_rate(model, simulation.drive), design)
     grid, steps = integration.grid_for(drive, period, method, simulation.save_every, model)
-    errors = assembly_errors(model) if errors is None else errors
+    errors = errors_of(model, errors)
     made = designed(model, design, errors)
     model, errors = made.model, errors if made.errors is None else made.errors
     asked, revolution = require_records(model, record), Integration(model, drive, grid, method, steps)
@@ -105,7 +105,7 @@ def steady_cycle(
 def cycle_run(
     cycle: Cycle,
     simulation: Simulation | Model,
-    errors: AssemblyErrors | None = None,
+    errors: Errors | None = None,
     *,
     record: str | Iterable[str] = (),
     **former: Any,
@@ -122,7 +122,7 @@ def cycle_run(
     model, method, design = simulation.model, simulation.chosen, simulation.design
     drive, period = _with_period(model, require_constant_rate(model, simulation.drive), design)
     grid, steps = integration.grid_for(drive, period, method, simulation.save_every, model)
-    made = designed(model, design, assembly_errors(model) if errors is None else errors)
+    made = designed(model, design, errors_of(model, errors))
     assert made.errors is not None, "errors were given"
     asked = require_records(model, record)
     conclusion = _periodic(Integration(made.model, drive, grid, method, steps), made.errors, cycle.start, asked)

@@ -31,12 +31,13 @@ from rfem_jax.mechanics.algebra.reordering import rows
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.dynamics.centre_lines import link_lines
 from rfem_jax.mechanics.forces.bush_contacts import with_memory
+from rfem_jax.mechanics.model.errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.model.model import Model, State
 from rfem_jax.mechanics.model.status import (
     DESIGN_OUT_OF_RANGE,
     OK,
 )
-from rfem_jax.mechanics.model.with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors, apply_errors
 from rfem_jax.mechanics.statics.assembly import held_angles, moving_equilibrium, static_loads
 from rfem_jax.mechanics.statics.designs import Design, designed
 from rfem_jax.simulation import equations

@@ -29,10 +29,11 @@ from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.implicit.residual import evaluate_residual
+from rfem_jax.mechanics.model.errors import AssemblyErrors, Errors, errors_of
 from rfem_jax.mechanics.model.inputs import DriveInput
 from rfem_jax.mechanics.model.model import Coordinates, Model, State
 from rfem_jax.mechanics.model.orientations import moved
-from rfem_jax.mechanics.model.with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors, apply_errors
 from rfem_jax.mechanics.statics.assembly import checked_hold, equilibrium, held_angles, length_scale
 from rfem_jax.mechanics.statics.designs import Design, designed, status_of
 from rfem_jax.simulation.driving import require_masses
@@ -71,7 +72,7 @@ class NaturalModes(eqx.Module):
 
 def natural_frequencies(
     model: Model,
-    errors: AssemblyErrors | None = None,
+    errors: Errors | None = None,
     *,
     hold: Mapping[str, ArrayLike] | str | None = None,
     locked: bool = True,
@@ -80,10 +81,10 @@ def natural_frequencies(
 ) -> NaturalModes:
     """Natural frequencies and modes about the static equilibrium of a mechanism with its errors.
 
-    **Arguments:** `errors` from `assembly_errors` (None: perfect); `hold`: as of `assemble`, joints at given angles
-    [rad] or displacements [m] (None: the driven ones at their start, all else in equilibrium); `locked`: whether these
-    are locked in the vibration, or only held by a constant moment; `count`: number of modes, at most as many as there
-    are; `design`: from `rfem_jax.design`, other values for numbers of the model.
+    **Arguments:** `errors` from `assembly_errors`, or {name: value} (None: perfect); `hold`: as of `assemble`, joints
+    at given angles [rad] or displacements [m] (None: the driven ones at their start, all else in equilibrium);
+    `locked`: whether these are locked in the vibration, or only held by a constant moment; `count`: number of modes, at
+    most as many as there are; `design`: from `rfem_jax.design`, other values for numbers of the model.
 
     **Returns:** `NaturalModes`. Works under jit, vmap, forward and reverse mode and Hessians; derivatives of simple
     frequencies only.
@@ -95,7 +96,7 @@ def natural_frequencies(
         raise InputError(f"Argument `count` must be a whole number of at least 1, but is {count!r}; 6 is usual.")
     hold = checked_hold(model, hold)
     require_masses(model)
-    made = designed(model, design, assembly_errors(model) if errors is None else errors)
+    made = designed(model, design, errors_of(model, errors))
     modes = _natural(made.model, made.errors, hold, bool(locked), int(count))
     return modes if made.status is None else replace(modes, status=status_of(modes.status, made))
 

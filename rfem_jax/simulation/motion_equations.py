@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 from rfem_jax.description.basics.calls import with_known_arguments
 from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.dynamics import loads
+from rfem_jax.mechanics.model.errors import Errors, errors_of
 from rfem_jax.mechanics.model.inputs import Stabilisation
 from rfem_jax.mechanics.model.model import Model, State
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors, with_structural_zeros
@@ -22,7 +23,7 @@ from rfem_jax.simulation import equations
 from rfem_jax.simulation.driving import ActiveDrives, active_drives, all_jumps, drive_of_design
 from rfem_jax.simulation.equations import Conditions, Trajectory
 from rfem_jax.simulation.integration import prepare
-from rfem_jax.simulation.specification import Errors, Simulation, errors_of_call, simulation_of_call
+from rfem_jax.simulation.specification import Simulation, simulation_of_call
 from rfem_jax.simulation.stabilisation import stabilisation_of
 
 
@@ -86,7 +87,7 @@ def equations_of_motion(simulation: Simulation, errors: Errors | None = None) ->
     or stiff laws for which `simulate` has methods of its own.
     """
     simulation = simulation_of_call("equations_of_motion", simulation, {})
-    made = designed(simulation.model, simulation.design, errors_of_call(simulation.model, errors))
+    made = designed(simulation.model, simulation.design, errors_of(simulation.model, errors))
     assert made.errors is not None, "errors were given"
     model, drive = made.model, simulation.drive
     drive = drive if simulation.design is None else drive_of_design(model, drive, simulation.design)

@@ -18,9 +18,9 @@ from jaxtyping import Float, Int
 
 from rfem_jax.labelled_data import DataFrame, Dataset
 from rfem_jax.mechanics.forces.bush_contacts import ContactState
+from rfem_jax.mechanics.model.errors import AssemblyErrors
 from rfem_jax.mechanics.model.model import Coordinates, Model
 from rfem_jax.mechanics.model.status import STATUS
-from rfem_jax.mechanics.model.with_errors import AssemblyErrors
 from rfem_jax.mechanics.statics.assembly import Load
 from rfem_jax.simulation.equations import Numbers, Scalar, safe_sqrt
 from rfem_jax.simulation.remarks import remarks_on

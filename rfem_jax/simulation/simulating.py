@@ -8,12 +8,13 @@ from typing import Any
 
 import diffrax
 
+from rfem_jax.mechanics.model.errors import Errors, errors_of
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.simulation.driving import drive_of_design
 from rfem_jax.simulation.integration import grid_for, simulate_steps
 from rfem_jax.simulation.locking import with_limit
 from rfem_jax.simulation.run import Run
-from rfem_jax.simulation.specification import Errors, Simulation, errors_of_call, simulation_of_call
+from rfem_jax.simulation.specification import Simulation, simulation_of_call
 
 
 def simulate(
@@ -41,7 +42,7 @@ def simulate(
     simulation = simulation_of_call("simulate", simulation, former)
     model, drive, method = simulation.model, simulation.drive, simulation.chosen
     grid, steps = grid_for(drive, simulation.require_duration(), method, simulation.save_every, model)
-    errors = errors_of_call(model, errors)
+    errors = errors_of(model, errors)
     run = simulate_steps(
         model, errors, drive, grid, method, steps, simulation.start, adjoint, record, simulation.design
     )

@@ -21,15 +21,13 @@ from rfem_jax.description.basics.units import positive_quantity
 from rfem_jax.description.drives.driven_motions import Drive
 from rfem_jax.description.methods import Automatic, Method
 from rfem_jax.description.study_file.study import Study
+from rfem_jax.mechanics.model.errors import assembly_errors
 from rfem_jax.mechanics.model.model import Model, State
 from rfem_jax.mechanics.model.status import OK
-from rfem_jax.mechanics.model.with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.statics.assembly import with_start
 from rfem_jax.mechanics.statics.designs import Design, designed, model_of_study, parameters
 from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.simulation.driving import drive_of_design, require_driven
-
-Errors = AssemblyErrors | Mapping[str, ArrayLike | str]  # or by their names [rad, m, or strings with a unit]
 
 
 class Simulation(eqx.Module):
@@ -214,10 +212,3 @@ def simulation_of_call(function: str, given: Simulation | Model, former: dict[st
             "Simulation(model, drive=..., duration=...)."
         )
     return given
-
-
-def errors_of_call(model: Model, errors: Errors | None) -> AssemblyErrors:
-    """Errors as a function was given them: from `assembly_errors`, by their names, or none."""
-    if isinstance(errors, AssemblyErrors):
-        return errors
-    return assembly_errors(model, dict(errors or {}))

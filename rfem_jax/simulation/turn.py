@@ -26,9 +26,10 @@ from rfem_jax.mechanics.forces.bush_contacts import ContactState, contact_states
 from rfem_jax.mechanics.forces.element_loads import FrameLoads
 from rfem_jax.mechanics.kinematics.motion import Motion
 from rfem_jax.mechanics.model.discretisation import CLOSING_TOLERANCE, close_at
+from rfem_jax.mechanics.model.errors import AssemblyErrors, Errors, errors_of
 from rfem_jax.mechanics.model.inputs import DriveInput
 from rfem_jax.mechanics.model.model import Model
-from rfem_jax.mechanics.model.with_errors import AssemblyErrors, apply_errors, assembly_errors
+from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics.assembly import Load, closed_at_rest, equilibrium, held_angles, named
 from rfem_jax.mechanics.statics.designs import designed, status_of
 from rfem_jax.simulation.equations import safe_sqrt
@@ -111,12 +112,12 @@ def closed_poses(model: Model, positions: Float[np.ndarray, " positions"]) -> Cl
 
 
 def kinetostatic_turn(
-    model: Model, errors: AssemblyErrors | None = None, positions: Float[np.ndarray, " positions"] | None = None
+    model: Model, errors: Errors | None = None, positions: Float[np.ndarray, " positions"] | None = None
 ) -> Turn:
     """Loads in all joints of a mechanism that is held at positions of its first drive, other drives at their start.
 
-    **Arguments:** `errors` from `assembly_errors` (None: perfect); `positions` [rad, m], as of `turn_positions` (None:
-    72 over a revolution).
+    **Arguments:** `errors` from `assembly_errors`, or {name: value} (None: perfect); `positions` [rad, m], as of
+    `turn_positions` (None: 72 over a revolution).
 
     **Returns:** `Turn`. Differentiable with respect to errors and deviations of parameters, also under jit, vmap,
     forward and reverse mode.
@@ -126,7 +127,7 @@ def kinetostatic_turn(
     require_float64()
     positions = turn_positions(model) if positions is None else np.atleast_1d(np.asarray(positions, float))
     poses = closed_poses(model, positions)
-    return turn_over(model, assembly_errors(model) if errors is None else errors, poses)
+    return turn_over(model, errors_of(model, errors), poses)
 
 
 @partial(Program, nameless=True)

@@ -15,9 +15,10 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from rfem_jax.compilation.program import Program
+from rfem_jax.mechanics.model.errors import assembly_errors
 from rfem_jax.mechanics.model.model import Model, Topology
 from rfem_jax.mechanics.model.nominal_geometry import cross_matrix
-from rfem_jax.mechanics.model.with_errors import apply_errors, assembly_errors
+from rfem_jax.mechanics.model.with_errors import apply_errors
 
 SMALLEST_INERTIA = 1e-15  # of a body, over its mass times the square of the longest link
 RIDGE = 1e-13  # added to a matrix with unit diagonal that may be singular

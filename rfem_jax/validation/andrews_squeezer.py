@@ -18,9 +18,10 @@ from rfem_jax.description import Joint, JointForceFunction, Mechanism, MomentTab
 from rfem_jax.mechanics.dynamics.dynamics import accelerations
 from rfem_jax.mechanics.dynamics.loads import static_state
 from rfem_jax.mechanics.model.discretisation import discretise
+from rfem_jax.mechanics.model.errors import assembly_errors
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.model.model import Coordinates, Model, State
-from rfem_jax.mechanics.model.with_errors import apply_errors, assembly_errors
+from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.simulation import Run, Simulation, simulate
 from rfem_jax.validation.lines import Line, Outcome, Progress, absolute
 from rfem_jax.validation.reference_values import read_reference

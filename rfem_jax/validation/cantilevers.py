@@ -31,8 +31,9 @@ from rfem_jax.description import (
 from rfem_jax.mechanics.dynamics.centre_lines import link_ends
 from rfem_jax.mechanics.kinematics.motion import motion_of
 from rfem_jax.mechanics.model.discretisation import discretise
+from rfem_jax.mechanics.model.errors import assembly_errors
 from rfem_jax.mechanics.model.model import Model
-from rfem_jax.mechanics.model.with_errors import apply_errors, assembly_errors
+from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics.assembly import assemble
 from rfem_jax.simulation.stability import eigenvalues
 from rfem_jax.validation.lines import Line, Outcome, Progress, relative

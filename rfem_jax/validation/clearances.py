@@ -18,8 +18,8 @@ import numpy as np
 from rfem_jax.description import Clearance, Joint, Mechanism
 from rfem_jax.mechanics.forces.bush_contacts import ContactState
 from rfem_jax.mechanics.model.discretisation import discretise
+from rfem_jax.mechanics.model.errors import assembly_errors
 from rfem_jax.mechanics.model.model import Model
-from rfem_jax.mechanics.model.with_errors import assembly_errors
 from rfem_jax.mechanics.statics.assembly import Assembled, assemble
 from rfem_jax.mechanics.statics.designs import design
 from rfem_jax.validation import impacts

@@ -21,7 +21,7 @@ from rfem_jax.description import (
 )
 from rfem_jax.description.mechanism.compliance import Compliance
 from rfem_jax.mechanics.model.discretisation import discretise
-from rfem_jax.mechanics.model.with_errors import assembly_errors
+from rfem_jax.mechanics.model.errors import assembly_errors
 from rfem_jax.simulation import Run, Simulation, simulate
 from rfem_jax.validation.joint_cases import Shares, checked
 from rfem_jax.validation.lines import Line, Outcome, Progress, absolute, relative

@@ -12,8 +12,9 @@ from jaxtyping import Array, Float
 from rfem_jax.compilation.program import Program
 from rfem_jax.description import GivenSection, Link, RigidBody
 from rfem_jax.mechanics.kinematics.motion import motion_of
+from rfem_jax.mechanics.model.errors import assembly_errors
 from rfem_jax.mechanics.model.model import Coordinates, Model, State
-from rfem_jax.mechanics.model.with_errors import apply_errors, assembly_errors
+from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics.assembly import held_angles, moving_equilibrium
 
 # The section of a link whose mass is that of bodies on it: next to nothing.

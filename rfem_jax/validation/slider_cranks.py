@@ -20,7 +20,7 @@ from rfem_jax.description import (
     RungeKutta4,
 )
 from rfem_jax.mechanics.model.discretisation import discretise
-from rfem_jax.mechanics.model.with_errors import assembly_errors
+from rfem_jax.mechanics.model.errors import assembly_errors
 from rfem_jax.simulation import Run, Simulation, simulate
 from rfem_jax.simulation.driving import Drive
 from rfem_jax.validation.joint_cases import Shares, checked

@@ -188,8 +188,13 @@ def test_errors_of_another_mechanism_are_refused(model, simulation):
         for longer in (None, design(model, {"crank.length": 0.12})):
             with refused("`errors`", "coupler", "same model"):
                 assemble(model, errors, design=longer)
-    of_same = assembly_errors(discretise(four_bar(3)), {"D.delta_x": 1e-3})  # of other rfes, which have no errors
-    assert int(assemble(model, of_same).status) == 0
+    with refused("`errors`", "by their names"):
+        assemble(model, 1e-3)
+    # Those of a mechanism with other rfes are the same, since rfes have no errors.
+    of_same_rfes = assembly_errors(discretise(four_bar(3)), {"D.delta_x": 1e-3})
+    by_name = assemble(model, {"D.delta_x": 1e-3})
+    assert int(by_name.status) == 0
+    np.testing.assert_array_equal(by_name.preload["C"].moment, assemble(model, of_same_rfes).preload["C"].moment)
 
 
 def test_calls_of_the_version_before_work_and_warn(model, simulation):

@@ -17,8 +17,9 @@ from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.algebra import vectors
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.kinematics.motion import Motion, all_frames, motion_of, node_frames
+from rfem_jax.mechanics.model.errors import AssemblyErrors
 from rfem_jax.mechanics.model.model import Coordinates, Model
-from rfem_jax.mechanics.model.with_errors import AssemblyErrors, ModelWithErrors, apply_errors
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors, apply_errors
 
 
 @kernel

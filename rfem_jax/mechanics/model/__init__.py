@@ -5,6 +5,7 @@ building            description -> Model
 discretisation      its loops closed at the start, rank and mobility
 nominal_geometry    the perfect mechanism in NumPy: does it close, rank, mobility; with nominal_path, start_freedoms,
                     normal_loads
+errors              assembly errors by their names -> AssemblyErrors
 with_errors         + AssemblyErrors -> constants of the equations of motion
 inputs              the drive at one instant
 orientations        coordinates that are quaternions

@@ -1,167 +1,28 @@
-"""Assembly errors, and the model with errors applied.
+"""The model with errors applied.
 
 Place in the pipeline: model + errors -> **with_errors** -> kinematics, dynamics, loads.
 
-`AssemblyErrors` are the deviations from the nominal mechanism (all zero: perfect); `apply_errors` computes
-from model and errors the constants of the equations of motion: joint frames (theory (2.3) to (2.6), every joint
-on both its sides), masses, inertias, stiffnesses.  Everything that does not change in time
-is computed here, once a simulation.
+`apply_errors` computes from model and errors the constants of the equations of motion: joint frames (theory (2.3) to
+(2.6), every joint on both its sides), masses, inertias, stiffnesses. Everything that does not change in time is
+computed here, once a simulation.
 """
-
-import dataclasses
-from collections.abc import Mapping
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.core import Tracer
-from jaxtyping import ArrayLike, Bool, Float, Int
+from jaxtyping import Float, Int
 
-from rfem_jax.compilation.naming import Names
-from rfem_jax.compilation.program import Program
-from rfem_jax.description.basics.errors import InputError, suggestion
-from rfem_jax.description.basics.units import quantity
-from rfem_jax.description.tolerances.error_catalogue import error_dimension
 from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.algebra import vectors
-from rfem_jax.mechanics.algebra.reordering import rows
 from rfem_jax.mechanics.laws.clearances import clearance_name
 from rfem_jax.mechanics.laws.frame_forces import FrameForceSet, NodeFrame
 from rfem_jax.mechanics.laws.friction_laws import Friction
 from rfem_jax.mechanics.laws.joint_laws import JointLaws
 from rfem_jax.mechanics.laws.joint_springs import CompliantSpring
+from rfem_jax.mechanics.model.errors import AssemblyErrors, possible_errors
 from rfem_jax.mechanics.model.model import BASE, Model, Topology, rfe_fractions
-
-HALF_TURN = np.pi * (1.0 + 1e-12)  # rad
-
-
-class Owners(NamedTuple):
-    """Names of the joints and links that errors belong to, in the order of the arrays."""
-
-    joints: tuple[str, ...]
-    links: tuple[str, ...]
-
-    def renamed(self, names: Names) -> "Owners":
-        """With other names; called by `compilation.naming`."""
-        return Owners(tuple(map(names.of, self.joints)), tuple(map(names.of, self.links)))
-
-
-class AssemblyErrors(eqx.Module):
-    """Deviations from the nominal mechanism, all zero by default.
-
-    seat, bore: (delta_x, delta_z [rad], d_x, d_y, d_z [m]) of every joint in its parent and child, and delta_y
-    [rad] last where any joint may have it (`Topology.error_components`); pin: tilts [rad] about x and z of a crooked
-    pin, on both sides at once; length [m] and twist [rad] of every link; parameters: deviations of numbers of the
-    description from their values [SI units], by their full names, which `designed` adds to these; None without any.
-    owners: whose errors these are, so that no other mechanism takes them for its own.
-    """
-
-    seat: Float[Array, "components joints"]
-    bore: Float[Array, "components joints"]
-    pin: Float[Array, "2 joints"]
-    length: Float[Array, " links"]
-    twist: Float[Array, " links"]
-    parameters: dict[str, Float[Array, ""]] | None = None
-    owners: Owners | None = eqx.field(static=True, default=None)
-
-
-def assembly_errors(model: Model, values: Mapping[str, ArrayLike | str] | None = None) -> AssemblyErrors:
-    """The errors with the given names, every other one zero.
-
-    **Arguments:** `values`: name -> number in rad or m, array scalar (traced or not), or a string
-    with a unit; names as "D.delta_x", "D.d_y", "C.child.delta_z", "C.pin_tilt_x", "coupler.length", or of any other
-    parameter of the model (`rfem_jax.parameters`), which then deviates from its value by a number in its unit.
-
-    **Raises:** `InputError` for a name that the model does not have.
-    """
-    topology = model.topology
-    n_joints, n_links = len(topology.joints), topology.n_links
-    parts = {
-        "seat": np.zeros((len(topology.error_components), n_joints)),
-        "bore": np.zeros((len(topology.error_components), n_joints)),
-        "pin": np.zeros((2, n_joints)),
-        "length": np.zeros(n_links),
-        "twist": np.zeros(n_links),
-    }
-    traced, deviations = [], {}
-    for name, value in (values or {}).items():
-        if name not in topology.error_names and model.source is not None and name in model.source.blueprint.names:
-            parameter = model.source.blueprint.names[name]
-            number = quantity(value, parameter.dimension, f"error {name!r}") if isinstance(value, str) else value
-            deviations[parameter.full] = jnp.asarray(number, jnp.float64)
-            continue
-        part, place = _locate(topology, name)
-        if isinstance(value, str):
-            value = quantity(value, error_dimension(name), f"error {name!r}")
-        if isinstance(value, Tracer):
-            traced.append((part, place, value))
-        else:
-            parts[part][place] = value
-    arrays = {part: jnp.asarray(values, jnp.float64) for part, values in parts.items()}
-    errors = AssemblyErrors(
-        arrays["seat"], arrays["bore"], arrays["pin"], arrays["length"], arrays["twist"],
-        owners=Owners(topology.joints, topology.links),
-    )  # fmt: skip
-    errors = _insert(errors, *zip(*traced)) if traced else errors
-    return dataclasses.replace(errors, parameters=deviations) if deviations else errors
-
-
-def require_errors_of(topology: Topology, errors: AssemblyErrors) -> None:
-    """Raise InputError for errors of a mechanism with other joints or links."""
-    owners = Owners(topology.joints, topology.links) if errors.owners is None else errors.owners
-    seats = len(topology.error_components), len(topology.joints)
-    shapes = seats, seats, (2, len(topology.joints)), (topology.n_links,), (topology.n_links,)
-    arrays = errors.seat, errors.bore, errors.pin, errors.length, errors.twist
-    if (owners.joints, owners.links) == (topology.joints, topology.links) and shapes == tuple(map(jnp.shape, arrays)):
-        return
-    raise InputError(
-        f"Argument `errors` must be errors of this mechanism, with joints {', '.join(topology.joints)} and links "
-        f"{', '.join(topology.links)}, but is for joints {', '.join(owners.joints)} and links "
-        f"{', '.join(owners.links)}; make it by assembly_errors(model, {{...}}) with the same model."
-    )
-
-
-def sum_of(errors: AssemblyErrors, more: AssemblyErrors) -> AssemblyErrors:
-    """Sum of two sets of errors; a parameter may deviate in one of them alone."""
-    first, second = errors.parameters or {}, more.parameters or {}
-    both = {
-        name: first.get(name, 0.0) + second.get(name, 0.0) for name in (*first, *(n for n in second if n not in first))
-    }
-    plain = (dataclasses.replace(one, parameters=None) for one in (errors, more))
-    return dataclasses.replace(jax.tree.map(jnp.add, *plain), parameters=both or None)
-
-
-@Program
-def _insert(
-    errors: AssemblyErrors,
-    parts: tuple[str, ...],
-    places: tuple[int | tuple[int, int], ...],
-    values: tuple[Float[Array, ""], ...],
-) -> AssemblyErrors:
-    """The errors with `values` at `places` of the arrays named `parts`."""
-    arrays = {field.name: getattr(errors, field.name) for field in dataclasses.fields(errors)}
-    for part, place, value in zip(parts, places, values):
-        arrays[part] = arrays[part].at[place].set(value)
-    return AssemblyErrors(**arrays)
-
-
-def _locate(topology: Topology, name: str) -> tuple[str, int | tuple[int, int]]:
-    """Field of `AssemblyErrors` and place in it of a named error."""
-    if name not in topology.error_names:
-        raise InputError(
-            f"Argument `errors` must name errors of the model, but {name!r} is not one; "
-            f"{suggestion(name, topology.error_names)}"
-        )
-    owner, *middle, kind = name.split(".")
-    if kind in ("length", "twist"):
-        return kind, topology.links.index(owner)
-    joint = topology.joints.index(owner)
-    if kind.startswith("pin_tilt"):
-        return "pin", (("pin_tilt_x", "pin_tilt_z").index(kind), joint)
-    return ("bore" if middle else "seat"), (topology.error_components.index(kind), joint)
 
 
 class ModelWithErrors(eqx.Module):
@@ -207,43 +68,6 @@ class ModelWithErrors(eqx.Module):
     friction: dict[str, Friction] | None = None
     springs: dict[str, CompliantSpring] | None = None
     reaction_length: Float[Array, ""] | None = None
-
-
-def require_possible(model: Model, errors: AssemblyErrors) -> None:
-    """Raise InputError for errors that leave a link no length, or that turn anything by more than half a turn, if they
-    are concrete numbers; traced errors have a status instead."""
-    topology = model.topology
-    leaves = model.length, errors.length, errors.seat, errors.bore, errors.pin, errors.twist
-    if any(isinstance(leaf, Tracer) for leaf in leaves):
-        return
-    length, change, seat, bore, pin, twist = map(np.asarray, leaves)
-    for name, long, more in zip(topology.links, length, change):
-        if more <= -long:
-            raise InputError(
-                f"Argument `errors` must leave link `{name}` longer than 0, but its length is {long:g} m and the error "
-                f"{more:g} m; give a smaller error."
-            )
-    tilts = [k for k, name in enumerate(topology.error_components) if name.startswith("delta")]
-    for names, values in (
-        (topology.joints, np.concatenate([seat[tilts], bore[tilts], pin])),
-        (topology.links, twist[None]),
-    ):
-        largest = np.abs(values).max(axis=0)
-        if (largest > HALF_TURN).any():
-            place = int(np.nanargmax(largest))
-            raise InputError(
-                f"Argument `errors` must turn nothing by more than half a turn, but turns `{names[place]}` by "
-                f"{largest[place]:g} rad; check the number and its unit."
-            )
-
-
-def possible_errors(model: Model, errors: AssemblyErrors) -> Bool[Array, ""]:
-    """Whether all links have a length, and nothing is turned by more than half a turn, with the errors; what is NaN is
-    left to the checks of assembly."""
-    is_turn = np.array([name.startswith("delta") for name in model.topology.error_components])
-    turns = [rows(side, np.flatnonzero(is_turn)).ravel() for side in (errors.seat, errors.bore)]
-    turned = jnp.any(jnp.abs(jnp.concatenate([*turns, errors.pin.ravel(), errors.twist])) > HALF_TURN)
-    return ~(turned | jnp.any(errors.length <= -model.length))
 
 
 @kernel

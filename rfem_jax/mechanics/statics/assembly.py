@@ -45,6 +45,7 @@ from rfem_jax.mechanics.implicit.residual import Residual
 from rfem_jax.mechanics.kinematics.cut_joints import Closure, closure, spring_residual, spring_row_tangent
 from rfem_jax.mechanics.kinematics.motion import by_freedom, motion_of, range_used
 from rfem_jax.mechanics.kinematics.self_stress import redundancy
+from rfem_jax.mechanics.model.errors import AssemblyErrors, Errors, assembly_errors, errors_of
 from rfem_jax.mechanics.model.inputs import DriveInput
 from rfem_jax.mechanics.model.model import Coordinates, Model, State, Topology, length_scale
 from rfem_jax.mechanics.model.orientations import moved, rates_of
@@ -58,7 +59,7 @@ from rfem_jax.mechanics.model.status import (
     OUT_OF_RANGE,
     WRONG_SIDE,
 )
-from rfem_jax.mechanics.model.with_errors import AssemblyErrors, ModelWithErrors, apply_errors, assembly_errors
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors, apply_errors
 from rfem_jax.mechanics.statics.contact import search_contact
 from rfem_jax.mechanics.statics.designs import Design, designed, status_of
 from rfem_jax.mechanics.statics.search import (
@@ -98,17 +99,17 @@ class Assembled(NamedTuple):
 
 def assemble(
     model: Model,
-    errors: AssemblyErrors,
+    errors: Errors | None = None,
     hold: Mapping[str, ArrayLike] | str | None = None,
     *,
     design: Design | None = None,
 ) -> Assembled:
     """Assemble the mechanism: static equilibrium with some joints held.
 
-    **Arguments:** `hold`: name of a joint with one coordinate -> its angle [rad] or displacement [m]; None holds
-    the coordinates that drives act on at their start, {} holds nothing; "as_given" holds at their start, besides, the
-    coordinates that stand for the freedoms that no drive holds, as a simulation does; `design`: from
-    `rfem_jax.design`.
+    **Arguments:** `errors` from `assembly_errors`, or {name: value} (None: perfect); `hold`: name of a joint with one
+    coordinate -> its angle [rad] or displacement [m]; None holds the coordinates that drives act on at their start, {}
+    holds nothing; "as_given" holds at their start, besides, the coordinates that stand for the freedoms that no drive
+    holds, as a simulation does; `design`: from `rfem_jax.design`.
 
     **Returns:** state (velocities zero), preload (gravity and holding moment included) and status
     (0 = ok; see `STATUS`). Differentiable with respect to errors, held angles and the numbers of the design.
@@ -116,7 +117,7 @@ def assemble(
     **Raises:** `InputError` if `hold` names a joint that is not a joint of the tree or has not one coordinate.
     """
     hold = checked_hold(model, hold)
-    made = designed(model, design, errors)
+    made = designed(model, design, errors_of(model, errors))
     found = _assemble(made.model, made.errors, hold)
     return found._replace(status=status_of(found.status, made), design_gap=made.gap)
 

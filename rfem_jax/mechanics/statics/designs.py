@@ -34,10 +34,10 @@ from rfem_jax.description.parameters.parts import Parts
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.mechanics.model.building import PartStructure, arrays_of
 from rfem_jax.mechanics.model.discretisation import discretise
+from rfem_jax.mechanics.model.errors import AssemblyErrors, require_errors_of, require_possible
 from rfem_jax.mechanics.model.model import BASE, Model, Topology, rfe_fractions
 from rfem_jax.mechanics.model.sources import NOTHING, Blueprint, Source
 from rfem_jax.mechanics.model.status import DESIGN_OUT_OF_RANGE, NOT_CLOSED, OK, STATUS
-from rfem_jax.mechanics.model.with_errors import AssemblyErrors, require_errors_of, require_possible
 from rfem_jax.mechanics.statics.start_closure import close_start
 
 LONGEST_ARM = 0.5  # of a segment between two spring-damping elements

@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 
 from rfem_jax.description.study_file.study import Study
+from rfem_jax.mechanics.model.errors import AssemblyErrors
 from rfem_jax.mechanics.model.model import Model
-from rfem_jax.mechanics.model.with_errors import AssemblyErrors
 from rfem_jax.report.output import write_json
 from rfem_jax.report.summary import reaction_norm, study_note
 from rfem_jax.simulation import cases

@@ -17,10 +17,11 @@ from rfem_jax.description.parameters.deviations import deviation_unit
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.labelled_data import column_name
 from rfem_jax.mechanics.dynamics.centre_lines import link_lines
+from rfem_jax.mechanics.model.errors import AssemblyErrors, assembly_errors, sum_of
 from rfem_jax.mechanics.model.model import Coordinates, Model
 from rfem_jax.mechanics.model.orientations import moved
 from rfem_jax.mechanics.model.status import STATUS
-from rfem_jax.mechanics.model.with_errors import AssemblyErrors, apply_errors, assembly_errors, sum_of
+from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics.designs import designed
 from rfem_jax.report.analyses.analysis import error_names, errors_of_cases, write_analysis
 from rfem_jax.report.annotations import Figure

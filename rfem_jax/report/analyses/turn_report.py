@@ -14,9 +14,9 @@ from jaxtyping import Float
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.mechanics.forces.bush_contacts import CLOSED, CONTACT_NAMES, carrying
+from rfem_jax.mechanics.model.errors import AssemblyErrors
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.status import STATUS
-from rfem_jax.mechanics.model.with_errors import AssemblyErrors
 from rfem_jax.report.analyses.analysis import errors_of_cases, write_analysis
 from rfem_jax.report.annotations import Figure
 from rfem_jax.report.files import contact_columns

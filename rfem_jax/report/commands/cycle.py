@@ -109,7 +109,7 @@ def _cycles(study: Study, tolerance: float, most: int) -> dict[str, Cycle]:
 
     from rfem_jax.description.drives.rotations import PrescribedRate
     from rfem_jax.description.metrics.catalogue import records_for
-    from rfem_jax.mechanics.model.with_errors import assembly_errors
+    from rfem_jax.mechanics.model.errors import assembly_errors
     from rfem_jax.simulation.cycle import steady_cycle
     from rfem_jax.simulation.specification import Simulation
 

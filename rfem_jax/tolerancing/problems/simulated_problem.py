@@ -27,9 +27,9 @@ from rfem_jax.description.methods import GeneralisedAlpha, Method
 from rfem_jax.description.metrics.catalogue import kind_and_owner, only_at_start
 from rfem_jax.description.metrics.subjects import JointSubject, LinkSubject, MetricSubjects, require_metric
 from rfem_jax.description.tolerances.error_catalogue import error_unit
+from rfem_jax.mechanics.model.errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.status import PAST_LIMIT, STATUS
-from rfem_jax.mechanics.model.with_errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.statics.designs import Design, NamedValue, parameters
 from rfem_jax.simulation.conclusion import run_of
 from rfem_jax.simulation.driving import design_with, drive_numbers, drive_of_design, require_driven
