@@ -6,7 +6,7 @@ Pictures show tolerances in deg and mm, metrics in their own units.
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,12 +29,13 @@ from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_files import write_task_json
 from rfem_jax.report.tasks.task_report import TaskReport
 from rfem_jax.text_layout import align_columns
-from rfem_jax.tolerancing.allocation.allocation_study import Allocation, LimitCheck, allocate
+from rfem_jax.tolerancing.allocation.allocation_study import allocate
 from rfem_jax.tolerancing.allocation.cost_models import Exponential, Reciprocal, ReciprocalSquared, total_cost
 from rfem_jax.tolerancing.allocation.request import read_bounds
 from rfem_jax.tolerancing.problems.distributions import DISTRIBUTIONS
 from rfem_jax.tolerancing.problems.linearisation import choose_mode
 from rfem_jax.tolerancing.problems.quadratic_model import expand_by_differences
+from rfem_jax.tolerancing.robust_design.result import Allocation, LimitCheck
 
 CostModel = Reciprocal | ReciprocalSquared | Exponential
 Limits = dict[str, tuple[float | None, float | None]]
@@ -211,7 +212,7 @@ def _allocation(one: Allocation) -> dict[str, Any]:
     keys = ("criterion", "status", "message", "tolerances", "cost", "at_bounds", "level")
     keys += ("predicted_yield", "verified_yield", "yield_interval", "verified_by", "history")
     found = {key: getattr(one, key) for key in (*keys, "failed", "hessian_error")}
-    return found | {"limits": [asdict(check) for check in one.limits]}
+    return found | {"limits": one.limit_entries()}
 
 
 def allocation_text(found: AllocationStudy) -> str:

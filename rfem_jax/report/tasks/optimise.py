@@ -92,18 +92,18 @@ class OptimiseReport(TaskReport[OptimiseTask, Optimised]):
                 self.study,
                 self.name,
                 {
-                    **asdict(answer),
+                    **_entries(answer),
                     "bounds": {name: list(self.study.design_bounds[name]) for name in answer.designs},
                     "tolerances_before": {name: self._widths_before().get(name) for name in answer.tolerances},
                     "tolerance_bounds": {name: list(pair) for name, pair in self.task.bounds.items()},
-                    "front": [{"weight": weight, **asdict(one)} for weight, one in result.front.items()],
+                    "front": [{"weight": weight, **_entries(one)} for weight, one in result.front.items()],
                     "units": answer.units | answer.term_units | {check.metric: check.unit for check in answer.limits},
                 },
             ),
             write_csv(folder / "optimise.csv", self._rows(answer)),
         ]
         if answer.limits:
-            written.append(write_csv(folder / "optimise_limits.csv", [_limit_row(check) for check in answer.limits]))
+            written.append(write_csv(folder / "optimise_limits.csv", _limit_rows(answer)))
         if result.front:
             rows = [
                 {"weight": weight, "status": one.status, **one.terms}
@@ -217,10 +217,12 @@ def _row(
     return row | {"lowest": ends[0], "highest": ends[1], "at_bound": bound}
 
 
-def _limit_row(check: Any) -> dict[str, Any]:
-    low, high = check.verified_interval
-    row = {name: value for name, value in asdict(check).items() if name != "verified_interval"}
-    return row | {"verified_low": low, "verified_high": high}
+def _entries(answer: DesignOptimum) -> dict[str, Any]:
+    return asdict(answer) | {"limits": answer.limit_entries()}
+
+
+def _limit_rows(answer: DesignOptimum) -> list[dict[str, Any]]:
+    return [row | {"unit": check.unit} for row, check in zip(answer.limit_rows(), answer.limits, strict=True)]
 
 
 def _mark(axes: Axes, x: float, place: int, after: bool, text: str) -> None:

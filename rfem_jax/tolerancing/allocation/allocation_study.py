@@ -16,7 +16,6 @@ headroom = |limit - f(centre)|.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -24,19 +23,18 @@ import numpy as np
 
 from rfem_jax.description.basics.errors import InputError, require_choice
 from rfem_jax.description.basics.precision import require_float64
-from rfem_jax.text_layout import align_columns, wrap_lines
 from rfem_jax.tolerancing.allocation.cost_models import CostModel
 from rfem_jax.tolerancing.allocation.models import Answer, Verified
 from rfem_jax.tolerancing.allocation.request import Request, check_request
 from rfem_jax.tolerancing.allocation.statistical_criteria import StatisticalCriterion
 from rfem_jax.tolerancing.allocation.worst_case_criterion import WorstCaseCriterion
 from rfem_jax.tolerancing.checks import ErrorValues
-from rfem_jax.tolerancing.labelled_results import LabelledAllocation
-from rfem_jax.tolerancing.layout import show_error, show_number
+from rfem_jax.tolerancing.layout import show_number
 from rfem_jax.tolerancing.optimisation.sizes import Zones
 from rfem_jax.tolerancing.problems.distributions import Normal, Tolerance
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel
+from rfem_jax.tolerancing.robust_design.result import Allocation, LimitCheck
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
 from rfem_jax.tolerancing.worst_cases import STARTS
 
@@ -45,93 +43,6 @@ STEP = 2.0
 ATTEMPTS = 4  # settled answers that a fresh run checks
 
 Criterion = WorstCaseCriterion | StatisticalCriterion
-
-
-@dataclass(frozen=True, eq=False)
-class LimitCheck:
-    """One limit and its metric at the answer, all in the metric's unit.
-
-    side "upper" or "lower"; nominal: at the centre; quadratic: by the quadratic model alone; predicted: by the
-    corrected model that found the answer; verified: by the fresh run, with its confidence interval (a worst case has
-    none: both ends are the value). Margins are distances to the limit, positive where it holds. shadow_price:
-    d(cost)/d(limit), the change of the cost when the limit is relaxed by one unit (negative or zero for an upper
-    limit, zero where it is not active).
-    """
-
-    metric: str
-    unit: str
-    side: str
-    limit: float
-    nominal: float
-    quadratic: float
-    predicted: float
-    verified: float
-    verified_interval: tuple[float, float]
-    predicted_margin: float
-    verified_margin: float
-    shadow_price: float
-
-
-@dataclass(frozen=True, eq=False)
-class Allocation(LabelledAllocation):
-    """The answer of an allocation.
-
-    status: "ok" (found, and the fresh run agrees), "not_verified" (found, but the fresh run violates a limit beyond
-    its confidence interval), "not_converged", or "infeasible"; message: one sentence, for an infeasible request the
-    limit that cannot be met and the best reachable value; tolerances {name: half-width [rad or m], diameter of a
-    zone [m]} (of an infeasible request those nearest to the limits), cost; at_bounds {name: "smallest" | "largest"};
-    limits: LimitCheck of each; level: the fraction of samples that the statistical criteria refer to (NaN for worst
-    case); predicted_yield, verified_yield, yield_interval: fraction within all limits (NaN for worst case; predicted
-    only for "yield");
-    verified_by: a description of the fresh run; history: (cost, largest h on the full problem) per round; failed:
-    failed samples in all rounds and in the fresh run; hessian_error: the estimated relative error of the quadratic
-    model's Hessian by differences (NaN where it is exact).
-    """
-
-    criterion: str
-    status: str
-    message: str
-    tolerances: dict[str, float]
-    units: dict[str, str]
-    cost: float
-    at_bounds: dict[str, str]
-    limits: tuple[LimitCheck, ...]
-    level: float
-    predicted_yield: float
-    verified_yield: float
-    yield_interval: tuple[float, float]
-    verified_by: str
-    history: tuple[tuple[float, float], ...]
-    failed: int
-    hessian_error: float
-
-    def __str__(self) -> str:
-        head = f"Allocation ({self.criterion}): status {self.status}, "
-        head += f"cost {show_number(self.cost, 7)}"
-        rows = [[n, show_error(t, self.units[n]), self.at_bounds.get(n, "")] for n, t in self.tolerances.items()]
-        parts = [head, wrap_lines(self.message)]
-        parts.append(align_columns(["error", "tolerance", "bound"], rows))
-        header = ["limit", "value", "nominal", "quadratic", "predicted", "verified", "interval"]
-        header += ["margin"]
-        parts.append(align_columns(header, [self._row(check) for check in self.limits]))
-        if np.isfinite(self.verified_yield):
-            low, high = self.yield_interval
-            parts.append(f"verified yield {self.verified_yield:.5f} ({low:.5f} to {high:.5f})")
-        parts.append(f"verified by {self.verified_by}; {self.failed} failed samples")
-        if np.isfinite(self.hessian_error):
-            parts.append(f"Hessian by differences of gradients, error {self.hessian_error:.0e}")
-        return "\n".join(part for part in parts if part)
-
-    @staticmethod
-    def _row(check):
-        numbers = (check.limit, check.nominal, check.quadratic, check.predicted, check.verified)
-        ends = (show_number(end, scale=check.limit) for end in check.verified_interval)
-        return [
-            f"{check.metric} [{check.unit or 1}]",
-            *(show_number(number, scale=check.limit) for number in numbers),
-            " to ".join(ends),
-            show_number(check.verified_margin),
-        ]
 
 
 def allocate(
@@ -332,8 +243,6 @@ def _check_limits(request: Request, answer: Answer, quadratic, verified: Verifie
                 predicted=float(predicted),
                 verified=float(value),
                 verified_interval=(low, high),
-                predicted_margin=float(limit.sign * (limit.bound - predicted)),
-                verified_margin=float(limit.sign * (limit.bound - value)),
                 shadow_price=float(-limit.sign * answer.prices[i] / limit.headroom),
             )
         )

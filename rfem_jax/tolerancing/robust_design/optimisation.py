@@ -38,7 +38,7 @@ from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.robust_design.criteria import CRITERIA, FAILED, Criterion
 from rfem_jax.tolerancing.robust_design.observations import Observer
 from rfem_jax.tolerancing.robust_design.request import COST, Bounds, Request, Widths, check_request
-from rfem_jax.tolerancing.robust_design.result import DesignOptimum, LimitAtOptimum
+from rfem_jax.tolerancing.robust_design.result import DesignOptimum, LimitCheck
 from rfem_jax.tolerancing.robust_design.search import (
     HOLDS,
     PENALTY,
@@ -357,7 +357,7 @@ class _Study:
             history=tuple(self.history),
         )
 
-    def _limits(self, found: Found, verified: Verified, nominal: dict[str, float]) -> tuple[LimitAtOptimum, ...]:
+    def _limits(self, found: Found, verified: Verified, nominal: dict[str, float]) -> tuple[LimitCheck, ...]:
         checks = []
         constrained = self.criterion.constraints(found.y) if self.request.limits else None
         for i, limit in enumerate(self.request.limits):
@@ -368,16 +368,16 @@ class _Study:
             value = limit.restore(float(verified.h[i]))
             low, high = sorted(limit.restore(float(end[i])) for end in (verified.low, verified.high))
             checks.append(
-                LimitAtOptimum(
+                LimitCheck(
                     metric=limit.metric,
                     unit=limit.unit,
                     side="upper" if limit.sign > 0.0 else "lower",
                     limit=limit.bound,
                     nominal=nominal[limit.metric],
+                    quadratic=np.nan,
                     predicted=predicted,
                     verified=value,
                     verified_interval=(low, high),
-                    margin=float(limit.sign * (limit.bound - value)),
                     shadow_price=-limit.sign * price,
                 )
             )
