@@ -7,18 +7,18 @@ import pytest
 from scipy import stats
 
 from rfem_jax.description.basics.errors import InputError
-from rfem_jax.tolerancing.allocation.allocation_study import allocate
-from rfem_jax.tolerancing.allocation.cost_models import (
+from rfem_jax.tolerancing.optimisation.augmented_lagrangian import minimise
+from rfem_jax.tolerancing.problems.distributions import Uniform
+from rfem_jax.tolerancing.problems.problem import FunctionProblem
+from rfem_jax.tolerancing.robust_design.allocation import allocate
+from rfem_jax.tolerancing.robust_design.cost_models import (
     Exponential,
     Reciprocal,
     ReciprocalSquared,
     assign_costs,
     total_cost,
 )
-from rfem_jax.tolerancing.allocation.models import Moments, Quadratic, quantile_weights
-from rfem_jax.tolerancing.optimisation.augmented_lagrangian import minimise
-from rfem_jax.tolerancing.problems.distributions import Uniform
-from rfem_jax.tolerancing.problems.problem import FunctionProblem
+from rfem_jax.tolerancing.robust_design.models import Moments, Quadratic, quantile_weights
 from rfem_jax.tolerancing.robust_design.optimisation import _price
 
 jax.config.update("jax_enable_x64", True)

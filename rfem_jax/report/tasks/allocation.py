@@ -29,12 +29,10 @@ from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_files import write_task_json
 from rfem_jax.report.tasks.task_report import TaskReport
 from rfem_jax.text_layout import align_columns
-from rfem_jax.tolerancing.allocation.allocation_study import allocate
-from rfem_jax.tolerancing.allocation.cost_models import Exponential, Reciprocal, ReciprocalSquared, total_cost
-from rfem_jax.tolerancing.allocation.request import read_bounds
 from rfem_jax.tolerancing.problems.distributions import DISTRIBUTIONS
-from rfem_jax.tolerancing.problems.linearisation import choose_mode
-from rfem_jax.tolerancing.problems.quadratic_model import expand_by_differences
+from rfem_jax.tolerancing.robust_design.allocation import allocate
+from rfem_jax.tolerancing.robust_design.cost_models import Exponential, Reciprocal, ReciprocalSquared, total_cost
+from rfem_jax.tolerancing.robust_design.request import check_allocation
 from rfem_jax.tolerancing.robust_design.result import Allocation, LimitCheck
 
 CostModel = Reciprocal | ReciprocalSquared | Exponential
@@ -60,6 +58,7 @@ class AllocationReport(TaskReport[AllocationTask, AllocationStudy]):
         """The cheapest tolerances, and those of the task's scaled limits."""
         task = self.task
         problem = study_problem.build_problem(self.study, task.metrics)
+        limits = {name: tuple(map(_closed, pair)) for name, pair in task.limits.items()}
         costs = {name: build_cost(cost) for name, cost in task.costs.items()}
         keys = jax.random.split(jax.random.key(task.seed), 1 + len(task.scales))
         solve = partial(
@@ -70,14 +69,12 @@ class AllocationReport(TaskReport[AllocationTask, AllocationStudy]):
             tolerance=task.accuracy, batch=task.batch, zones=task.zones,
         )  # fmt: skip
         on_stage("Expanding to second order")
-        together = task.criterion != "worst_case"
-        sizes, lower, upper = read_bounds(problem, task.bounds, task.zones)
-        mode = choose_mode(task.mode, len(sizes.errors), len(problem.metrics) if together else 1, problem)
-        typical = dict(zip(sizes.errors, map(float, sizes.reaches(np.sqrt(lower * upper))), strict=True))
-        model = expand_by_differences(problem, None, typical, mode=mode, batch=task.batch)
-        solve = partial(solve, model=model, mode=mode)
+        request = check_allocation(
+            problem, limits, costs, task.bounds, mode=task.mode, batch=task.batch, zones=task.zones,
+            together=task.criterion != "worst_case",
+        )  # fmt: skip
+        solve = partial(solve, model=request.model, mode=request.mode)
         on_stage(f"Allocating {len(task.bounds)} tolerances")
-        limits = {name: tuple(map(_closed, pair)) for name, pair in task.limits.items()}
         answer = solve(limits, key=keys[0])
         front = {1.0: answer}
         for scale, key in zip(task.scales, keys[1:], strict=True):

@@ -1,6 +1,6 @@
 """When limits hold: at the perfect mechanism, everywhere within the tolerances, by root sum of squares, at a yield.
 
-Place in the pipeline: variables, observations -> **criteria** -> search.
+Place in the pipeline: observations -> **criteria** -> search.
 
 A criterion has standard points z (n, k), where the problem is observed, and makes constraints g(y) <= 0 of what was
 observed there, with their derivatives.  The first standard point is zero: the perfect mechanism, of which the objective
@@ -22,7 +22,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from rfem_jax.tolerancing.allocation.models import quantile_weights
 from rfem_jax.tolerancing.optimisation.projected_gradient import climb_together
 from rfem_jax.tolerancing.optimisation.sizes import Sizes
 from rfem_jax.tolerancing.optimisation.starting_points import (
@@ -33,7 +32,9 @@ from rfem_jax.tolerancing.optimisation.starting_points import (
     spread_points,
 )
 from rfem_jax.tolerancing.problems.distributions import Tolerance
+from rfem_jax.tolerancing.robust_design.models import quantile_weights
 from rfem_jax.tolerancing.robust_design.observations import Observed, Observer
+from rfem_jax.tolerancing.robust_design.request import Limit
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
 
 CORNERS = 4  # of so many errors the corners of the box are among the starts of a search for the worst point
@@ -41,26 +42,6 @@ SEARCH_STEPS = 40
 STATIONARY = 1e-4  # residual of a search for a worst point, whose height is then exact to about its square
 NEW_POINT = 1e-3  # points nearer than this are one
 FAILED = 1e3  # a constraint whose sample failed: far from holding
-
-
-class NormalisedLimit(NamedTuple):
-    """One end of a limit: metric's name, unit and position, sign (1 upper, -1 lower), bound, and scale [unit] by which
-    distances from it are divided."""
-
-    metric: str
-    unit: str
-    position: int
-    sign: float
-    bound: float
-    scale: float
-
-    def normalise(self, values: Float[np.ndarray, "*n m"]) -> Float[np.ndarray, "*n"]:
-        """h from the values of all metrics."""
-        return self.sign * (values[..., self.position] - self.bound) / self.scale
-
-    def restore(self, h: float) -> float:
-        """The metric's value of a normalised h."""
-        return self.bound + self.sign * self.scale * h
 
 
 class Constrained(NamedTuple):
@@ -74,14 +55,13 @@ class Constrained(NamedTuple):
 class Criterion(abc.ABC):
     """See the module's docstring.
 
-    Arguments: observer; limits (l); points (n, k), standard points, the first of which is zero.
+    Arguments: observer; points (n, k), standard points after the first, which is zero.
     """
 
-    def __init__(
-        self, observer: Observer, limits: Sequence[NormalisedLimit], points: Float[np.ndarray, "n k"] | None = None
-    ):
-        self.observer, self.limits = observer, tuple(limits)
-        origin = np.zeros((1, len(observer.variables.errors)))
+    def __init__(self, observer: Observer, points: Float[np.ndarray, "n k"] | None = None):
+        self.observer, self.limits = observer, observer.request.limits
+        self.variables = observer.request.variables
+        origin = np.zeros((1, len(self.variables.errors)))
         self.points = origin if points is None else np.concatenate([origin, points])
 
     def observe(self, y: Float[np.ndarray, " p"]) -> Observed:
@@ -91,11 +71,9 @@ class Criterion(abc.ABC):
     def constraints(self, y: Float[np.ndarray, " p"]) -> Constrained:
         """Constraints at y, with derivatives."""
         seen = self.observe(y)
-        back = self.observer.variables.pull_back(y, self.points, seen.jacobian)
-        h = np.stack([limit.normalise(seen.values) for limit in self.limits], axis=1)
-        factors = np.array([limit.sign / limit.scale for limit in self.limits])
-        dh = back[:, [limit.position for limit in self.limits]] * factors[:, None]
-        return self.reduce(h, dh)
+        request = self.observer.request
+        back = self.variables.pull_back(y, self.points, seen.jacobian)
+        return self.reduce(request.normalise(seen.values), request.normalise_slopes(back))
 
     @abc.abstractmethod
     def reduce(self, h: Float[np.ndarray, "n l"], dh: Float[np.ndarray, "n l p"]) -> Constrained:
@@ -122,11 +100,10 @@ class NominalCriterion(Criterion):
 class WorstCaseCriterion(Criterion):
     """Limits hold everywhere in the box of the tolerances: at all worst points that were found."""
 
-    def __init__(self, observer: Observer, limits: Sequence[NormalisedLimit], key: RandomKey):
-        super().__init__(observer, limits)
+    def __init__(self, observer: Observer):
+        super().__init__(observer)
         self.owner = [*range(len(self.limits))]  # every limit at the centre, until worse points are found
         self.row = [0] * len(self.limits)
-        self.key = key
 
     def reduce(self, h: Float[np.ndarray, "n l"], dh: Float[np.ndarray, "n l p"]) -> Constrained:
         """As `Criterion.reduce`."""
@@ -135,7 +112,7 @@ class WorstCaseCriterion(Criterion):
     def extend(self, y: Float[np.ndarray, " p"], key: RandomKey) -> bool:
         """Add the worst points of the limits at y, where they are worse than those known; returns whether any is."""
         before = [*zip(self.constraints(y).value, self.owner, strict=True)]
-        starts = search_starts(self.observer.variables.sizes, key)
+        starts = search_starts(self.variables.sizes, key)
         added = False
         for number in range(len(self.limits)):
             known = max(g for g, owner in before if owner == number)
@@ -168,7 +145,6 @@ class SampleCriterion(Criterion):
     def __init__(
         self,
         observer: Observer,
-        limits: Sequence[NormalisedLimit],
         key: RandomKey,
         *,
         kind: str,
@@ -177,8 +153,8 @@ class SampleCriterion(Criterion):
         distribution: Callable[[float], Tolerance],
         samples: int,
     ):
-        units = sobol_units(len(observer.variables.errors), samples, key)
-        super().__init__(observer, limits, observer.variables.sizes.standard(distribution(1.0), units))
+        sizes = observer.request.variables.sizes
+        super().__init__(observer, sizes.standard(distribution(1.0), sobol_units(len(sizes.errors), samples, key)))
         self.kind, self.aim, self.coverage = kind, level, coverage
         self.extra = 0.0
 
@@ -224,16 +200,18 @@ def search_starts(sizes: Sizes, key: RandomKey) -> Float[np.ndarray, "starts k"]
 
 
 def worst_points(
-    observer: Observer, limit: NormalisedLimit, y: Float[np.ndarray, " p"], starts: Float[np.ndarray, "starts k"]
+    observer: Observer, limit: Limit, y: Float[np.ndarray, " p"], starts: Float[np.ndarray, "starts k"]
 ) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, " n"]]:
     """The distinct local maxima of a normalised limit over the box or zones of the tolerances at y, the worst first."""
 
+    variables = observer.request.variables
+
     def function(z: Float[np.ndarray, "n k"]) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n k"]]:
         seen = observer.observe(y, z)
-        slopes = observer.variables.by_errors(y, seen.jacobian)[:, limit.position] * (limit.sign / limit.scale)
-        return limit.normalise(seen.values), slopes
+        slopes = variables.by_errors(y, seen.jacobian)[:, limit.position] * (limit.sign / limit.scale)
+        return limit.normalise(seen.values[:, limit.position]), slopes
 
-    within = projection(observer.variables.sizes.region)
+    within = projection(variables.sizes.region)
     search = climb_together(function, within, starts, evaluations=SEARCH_STEPS, tolerance=STATIONARY)
     points, heights = np.asarray(search.point), np.asarray(search.value)
     kept = distinct(points, heights, NEW_POINT)
@@ -253,8 +231,8 @@ def _failed(count: int, variables: int, limits: Sequence[int]) -> Constrained:
 
 
 CRITERIA: dict[str, Callable[..., Criterion]] = {
-    "nominal": lambda observer, limits, key, **_: NominalCriterion(observer, limits),
-    "worst_case": lambda observer, limits, key, **_: WorstCaseCriterion(observer, limits, key),
+    "nominal": lambda observer, key, **_: NominalCriterion(observer),
+    "worst_case": lambda observer, key, **_: WorstCaseCriterion(observer),
     "rss": partial(SampleCriterion, kind="rss"),
     "yield": partial(SampleCriterion, kind="yield"),
 }

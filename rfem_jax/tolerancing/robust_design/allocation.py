@@ -1,17 +1,18 @@
 """Allocation: the cheapest tolerances with which limits on metrics hold (theory (10.12)).
 
-Place in the pipeline: last of the studies; uses the quadratic model, worst cases and sampling.
+Place in the pipeline: request, observations, corrected models -> **allocation** -> reports.
 
     min sum_i c_i(t_i)   subject to   criterion of every limited metric at t <= limit,
                                       smallest_i <= t_i <= largest_i
 
-Solved in x = log t by an augmented Lagrangian with gradients, first on the quadratic model about the centre, then by
-successive correction: observe the full problem at the answer, correct the model there, solve again (steps of at most a
-factor `STEP` in t), until limits hold and the cost does not change any more. The answer is then verified by a run with
-random numbers that have not been used before. See worst_case_criterion.py and statistical_criteria.py for the meaning
-of "worst_case", "rss" and "yield" and for their corrections.
+It is `optimise` without dimensions, where the quadratic model about the centre is nearly exact: solved in x = log t by
+an augmented Lagrangian with gradients, first on this model, then by successive correction: observe the full problem at
+the answer, correct the model there, solve again (steps of at most a factor `STEP` in t), until limits hold and the cost
+does not change any more. The answer is then verified by a run with random numbers that have not been used before. See
+corrected_worst_case.py and corrected_statistics.py for the meaning of "worst_case", "rss" and "yield" and for their
+corrections.
 
-Symbols: t (k,) half-widths [rad, m], c_i cost of error i, h = (f - limit)/headroom normalised limit,
+Symbols: t (v,) half-widths [rad, m], c_i cost of error i, h = (f - limit)/headroom normalised limit,
 headroom = |limit - f(centre)|.
 """
 
@@ -23,26 +24,26 @@ import numpy as np
 
 from rfem_jax.description.basics.errors import InputError, require_choice
 from rfem_jax.description.basics.precision import require_float64
-from rfem_jax.tolerancing.allocation.cost_models import CostModel
-from rfem_jax.tolerancing.allocation.models import Answer, Verified
-from rfem_jax.tolerancing.allocation.request import Request, check_request
-from rfem_jax.tolerancing.allocation.statistical_criteria import StatisticalCriterion
-from rfem_jax.tolerancing.allocation.worst_case_criterion import WorstCaseCriterion
 from rfem_jax.tolerancing.checks import ErrorValues
-from rfem_jax.tolerancing.layout import show_number
 from rfem_jax.tolerancing.optimisation.sizes import Zones
 from rfem_jax.tolerancing.problems.distributions import Normal, Tolerance
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel
-from rfem_jax.tolerancing.robust_design.result import Allocation, LimitCheck
+from rfem_jax.tolerancing.robust_design.corrected_model import Answer, CorrectedModel
+from rfem_jax.tolerancing.robust_design.corrected_statistics import CorrectedStatistics
+from rfem_jax.tolerancing.robust_design.corrected_worst_case import CorrectedWorstCase
+from rfem_jax.tolerancing.robust_design.cost_models import CostModel
+from rfem_jax.tolerancing.robust_design.observations import Observer
+from rfem_jax.tolerancing.robust_design.request import check_allocation
+from rfem_jax.tolerancing.robust_design.result import Allocation
+from rfem_jax.tolerancing.robust_design.variables import at_ends
+from rfem_jax.tolerancing.robust_design.verification import Verified, check_limits
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
 from rfem_jax.tolerancing.worst_cases import STARTS
 
 CRITERIA = ("worst_case", "rss", "yield")
 STEP = 2.0
 ATTEMPTS = 4  # settled answers that a fresh run checks
-
-Criterion = WorstCaseCriterion | StatisticalCriterion
 
 
 def allocate(
@@ -93,18 +94,18 @@ def allocate(
     require_choice(statistic, ("quantile", "mean"), "statistic")
     if not 0 < target < 1:
         raise InputError(f"Argument `target` must lie between 0 and 1, but it is {target}.")
-    request = check_request(
-        problem, limits, cost, bounds, at, mode, batch, model, zones, together=criterion != "worst_case"
-    )
+    together = criterion != "worst_case"
+    observer = Observer(check_allocation(problem, limits, cost, bounds, at, mode, batch, model, zones, together))
     design, refine, verify, last = jax.random.split(key, 4)
     if criterion == "worst_case":
-        study: Criterion = WorstCaseCriterion(request, design, starts)
+        study: CorrectedModel = CorrectedWorstCase(observer, design, starts)
     else:
-        study = StatisticalCriterion(
-            request, design, criterion, level=target, coverage=coverage, statistic=statistic, distribution=distribution,
-            samples=_sample_number(samples, criterion, target), verify_samples=verify_samples,
+        study = CorrectedStatistics(
+            observer, design, criterion, level=target, coverage=coverage, statistic=statistic,
+            distribution=distribution, samples=_sample_number(samples, criterion, target),
+            verify_samples=verify_samples,
         )  # fmt: skip
-    return _solve(study, request, criterion, rounds, tolerance, (refine, verify, last))
+    return _solve(study, criterion, rounds, tolerance, (refine, verify, last))
 
 
 def _sample_number(samples, criterion, target) -> int:
@@ -116,22 +117,22 @@ def _sample_number(samples, criterion, target) -> int:
     return int(np.clip(2 ** np.ceil(np.log2(20 / (1 - target))), 256, 16384))
 
 
-def _solve(study: Criterion, request: Request, criterion, rounds, tolerance, keys) -> Allocation:
+def _solve(study: CorrectedModel, criterion, rounds, tolerance, keys) -> Allocation:
     refine, verify, last = keys
-    answer, history, status, verified = _correct(study, request, rounds, tolerance, refine, verify)
+    answer, history, status, verified = _correct(study, rounds, tolerance, refine, verify)
     message = ""
     if verified is None:
         verified = study.verify(np.exp(answer.x), jax.random.fold_in(verify, rounds))
     if status != "ok":
-        status, message = _explain(study, request, status, verified, last, tolerance)
-    return _report(study, request, criterion, answer, history, (status, message), verified)
+        status, message = _explain(study, status, verified, last, tolerance)
+    return _report(study, criterion, answer, history, (status, message), verified)
 
 
 def _correct(
-    study: Criterion, request: Request, rounds, tolerance, refine, verify
+    study: CorrectedModel, rounds, tolerance, refine, verify
 ) -> tuple[Answer, list[tuple[float, float]], str, Verified | None]:
     """Solve, observe, correct until settled and verified: answer, history, status, and the last fresh run."""
-    lower, upper = np.log(request.lower), np.log(request.upper)
+    lower, upper = np.log(study.variables.width_lower), np.log(study.variables.width_upper)
     answer = study.solve(0.5 * (lower + upper), lower, upper)
     history, before, fresh = [], np.inf, None
     settling = study.settling * tolerance
@@ -158,38 +159,35 @@ def _correct(
     return answer, history, "not_verified", fresh
 
 
-def _next(study: Criterion, answer: Answer, lower, upper) -> Answer:
+def _next(study: CorrectedModel, answer: Answer, lower, upper) -> Answer:
     """The cheapest point of the study's present model near the last one."""
     near = np.clip(answer.x - np.log(STEP), lower, upper)
     far = np.clip(answer.x + np.log(STEP), lower, upper)
     return study.solve(answer.x, near, far)
 
 
-def _passes(study: Criterion, verified: Verified, tolerance) -> bool:
+def _passes(study: CorrectedModel, verified: Verified, tolerance) -> bool:
     """Whether the fresh run agrees: no limit (or the joint yield) violated beyond its interval."""
-    if isinstance(study, StatisticalCriterion) and study.joint:
-        return verified.fraction_interval[1] >= study.level
+    if study.joint:
+        return verified.interval[1] >= study.level
     return bool(np.all(verified.low <= 10 * tolerance))
 
 
-def _explain(study: Criterion, request: Request, status, verified: Verified, key, tolerance) -> tuple[str, str]:
+def _explain(study: CorrectedModel, status, verified: Verified, key, tolerance) -> tuple[str, str]:
     """Status and message: tells an infeasible request from one that did not converge."""
     if status == "not_verified":
         return status, (
             "Independent samples kept violating a limit beyond their confidence interval; use more samples or rounds."
         )
     best = np.minimum(study.best(key), np.where(np.isfinite(verified.h), verified.h, np.inf))
-    out = [i for i in range(len(request.limits)) if not best[i] <= tolerance]
-    if out:
-        i = max(out, key=lambda j: best[j])
-        limit = request.limits[i]
-        word = "at most" if limit.sign > 0 else "at least"
+    i = int(np.argmax(np.where(best <= tolerance, -np.inf, best)))
+    if not best[i] <= tolerance:
+        limit = study.request.limits[i]
         return "infeasible", (
-            f"The limit {word} {show_number(limit.bound, 6)} {limit.unit} on {limit.metric} cannot be met: the best "
-            f"value within the bounds is {show_number(limit.restore(best[i]), 6)} {limit.unit}; relax it to that, or "
-            "allow smaller tolerances."
+            f"The limit {limit.words} cannot be met: the best value within the bounds is {limit.reached(best[i])}; "
+            "relax it to that, or allow smaller tolerances."
         )
-    if isinstance(study, StatisticalCriterion) and study.joint and study.best_yield() < study.level:
+    if study.joint and study.best_yield() < study.level:
         return "infeasible", (
             f"The yield {study.level} cannot be met by all limits together: with the smallest tolerances it is "
             f"{study.best_yield():.5f}; relax a limit or allow smaller tolerances."
@@ -197,70 +195,28 @@ def _explain(study: Criterion, request: Request, status, verified: Verified, key
     return status, "The corrections did not converge; allow more rounds or a looser tolerance."
 
 
-def _report(study: Criterion, request: Request, criterion, answer: Answer, history, outcome, verified) -> Allocation:
+def _report(study: CorrectedModel, criterion, answer: Answer, history, outcome, verified: Verified) -> Allocation:
     """`outcome`: status, message."""
-    t = np.exp(answer.x)
-    level, predicted, failed = np.nan, np.nan, study.failed
-    by = "worst-case searches from new starting points"
-    if isinstance(study, StatisticalCriterion):
-        by = f"an independent Monte Carlo run of {study.verify_samples} samples"
-        level, failed = study.level, failed + verified.failed
-        predicted = study.predicted_yield(t) if study.joint else np.nan
+    request, variables, t = study.request, study.variables, np.exp(answer.x)
+    model, names = request.model, variables.sizes.names
+    assert model is not None  # of an allocation
+    nominal = {metric.name: float(value) for metric, value in zip(request.problem.metrics, np.asarray(model.value))}
+    errors = [] if model.hessian_error is None else [float(model.hessian_error[one.position]) for one in request.limits]
     return Allocation(
         criterion=criterion,
         status=outcome[0],
         message=outcome[1],
-        tolerances=request.tolerances(t),
-        units={name: request.unit(name) for name in request.sizes.names},
-        cost=answer.cost,
-        at_bounds=_at_bounds(request, t),
-        limits=_check_limits(request, answer, study.quadratic_worst(t), verified),
-        level=level,
-        predicted_yield=predicted,
+        tolerances=dict(zip(names, map(float, t), strict=True)),
+        units={name: request.units[name] for name in names},
+        at_bounds=at_ends(names, t, variables.width_lower * (1 + 1e-6), variables.width_upper * (1 - 1e-6)),
+        limits=check_limits(request.limits, nominal, answer.h, verified, answer.prices, study.quadratic_worst(t)),
         verified_yield=verified.fraction,
-        yield_interval=verified.fraction_interval,
-        verified_by=by,
+        yield_interval=verified.interval,
+        verified_by=verified.what,
         history=tuple(history),
-        failed=failed,
-        hessian_error=_hessian_error(request),
+        failed=study.failed + verified.failed,
+        cost=answer.cost,
+        level=study.level,
+        predicted_yield=study.predicted_yield(t),
+        hessian_error=max(errors, default=np.nan),
     )
-
-
-def _check_limits(request: Request, answer: Answer, quadratic, verified: Verified) -> tuple[LimitCheck, ...]:
-    """The limits with their values by the quadratic model, `quadratic` (l,), at the answer and in the fresh run."""
-    checks = []
-    for i, limit in enumerate(request.limits):
-        predicted, value = limit.restore(answer.h[i]), limit.restore(verified.h[i])
-        low, high = sorted(float(limit.restore(h[i])) for h in (verified.low, verified.high))
-        checks.append(
-            LimitCheck(
-                metric=limit.metric,
-                unit=limit.unit,
-                side="upper" if limit.sign > 0 else "lower",
-                limit=limit.bound,
-                nominal=limit.nominal,
-                quadratic=float(limit.restore(quadratic[i])),
-                predicted=float(predicted),
-                verified=float(value),
-                verified_interval=(low, high),
-                shadow_price=float(-limit.sign * answer.prices[i] / limit.headroom),
-            )
-        )
-    return tuple(checks)
-
-
-def _at_bounds(request: Request, t) -> dict[str, str]:
-    """{error: "smallest" | "largest"} of the tolerances that are at a bound."""
-    found = {}
-    for name, x, low, high in zip(request.sizes.names, t, request.lower, request.upper, strict=True):
-        if x <= low * (1 + 1e-6):
-            found[name] = "smallest"
-        elif x >= high * (1 - 1e-6):
-            found[name] = "largest"
-    return found
-
-
-def _hessian_error(request: Request) -> float:
-    """The largest estimated error of a limited metric's Hessian, NaN where Hessians are exact."""
-    error = request.model.hessian_error
-    return np.nan if error is None else max(float(error[limit.position]) for limit in request.limits)
