@@ -35,8 +35,16 @@ from rfem_jax.tolerancing.problems.distributions import Tolerance
 from rfem_jax.tolerancing.robust_design.models import quantile_weights
 from rfem_jax.tolerancing.robust_design.observations import Observed, Observer
 from rfem_jax.tolerancing.robust_design.request import Limit
+from rfem_jax.tolerancing.robust_design.verification import (
+    Verified,
+    mean_and_deviations,
+    verify_sample,
+    without_interval,
+)
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
 
+ALL_CORNERS = 8  # errors, of which a fresh run tries all corners of the box
+AGREES = 1e-3  # of a limit: how far a fresh worst case may exceed it
 CORNERS = 4  # of so many errors the corners of the box are among the starts of a search for the worst point
 SEARCH_STEPS = 40
 STATIONARY = 1e-4  # residual of a search for a worst point, whose height is then exact to about its square
@@ -55,8 +63,11 @@ class Constrained(NamedTuple):
 class Criterion(abc.ABC):
     """See the module's docstring.
 
-    Arguments: observer; points (n, k), standard points after the first, which is zero.
+    Arguments: observer; points (n, k), standard points after the first, which is zero. level: fraction of mechanisms
+    that hold all limits (NaN but for a yield).
     """
+
+    level = np.nan
 
     def __init__(self, observer: Observer, points: Float[np.ndarray, "n k"] | None = None):
         self.observer, self.limits = observer, observer.request.limits
@@ -84,6 +95,15 @@ class Criterion(abc.ABC):
         del y, key
         return False
 
+    @abc.abstractmethod
+    def verify(self, y: Float[np.ndarray, " p"], key: RandomKey) -> Verified:
+        """A fresh run at y."""
+
+    def shortfall(self, verified: Verified) -> float:
+        """How far a fresh run is beyond its limits, of a yield the fraction that lacks; 0 where it agrees."""
+        beyond = float(np.max(verified.low, initial=0.0))
+        return beyond if beyond > AGREES else 0.0
+
     def tighten(self, shortfall: float) -> None:
         """Aim higher after a fresh run fell short."""
         del shortfall
@@ -95,6 +115,10 @@ class NominalCriterion(Criterion):
     def reduce(self, h: Float[np.ndarray, "n l"], dh: Float[np.ndarray, "n l p"]) -> Constrained:
         """As `Criterion.reduce`."""
         return _constrained(h[0], dh[0], range(len(self.limits)))
+
+    def verify(self, y: Float[np.ndarray, " p"], key: RandomKey) -> Verified:
+        """As `Criterion.verify`."""
+        return verify_nominal(self.observer, y)
 
 
 class WorstCaseCriterion(Criterion):
@@ -122,6 +146,17 @@ class WorstCaseCriterion(Criterion):
                     added = self._add(number, z) or added
         return added
 
+    def verify(self, y: Float[np.ndarray, " p"], key: RandomKey) -> Verified:
+        """As `Criterion.verify`: searches from new starting points, and corners of the box where they are few."""
+        sizes, k = self.variables.sizes, len(self.variables.errors)
+        starts = search_starts(sizes, key)
+        points = np.concatenate([worst_points(self.observer, limit, y, starts)[0][:2] for limit in self.limits])
+        what = "searches for the worst case from new starting points"
+        if k <= ALL_CORNERS and sizes.region == "box":
+            points, what = np.concatenate([points, box_corners(k)]), f"{what} and at all {2**k} corners"
+        values = self.observer.values(self.variables.deviations(y, np.concatenate([np.zeros((1, k)), points])))
+        return without_interval(np.nanmax(self.observer.request.normalise(values), axis=0), values, what)
+
     def _add(self, number: int, z: Float[np.ndarray, " k"]) -> bool:
         """Let a limit hold at a point, which may be that of another limit; returns whether it did not before."""
         distances = np.max(np.abs(self.points - z), axis=1)
@@ -139,7 +174,7 @@ class SampleCriterion(Criterion):
     """Limits hold for a fixed sample of a distribution: by root sum of squares, or at a yield.
 
     Arguments: kind "rss" or "yield"; level, of a yield; coverage, deviations of "rss"; distribution, a callable
-    half-width -> Tolerance; samples, number of standard points.
+    half-width -> Tolerance; samples, number of standard points; verify_samples of a fresh run.
     """
 
     def __init__(
@@ -152,10 +187,12 @@ class SampleCriterion(Criterion):
         coverage: float,
         distribution: Callable[[float], Tolerance],
         samples: int,
+        verify_samples: int,
     ):
         sizes = observer.request.variables.sizes
-        super().__init__(observer, sizes.standard(distribution(1.0), sobol_units(len(sizes.errors), samples, key)))
-        self.kind, self.aim, self.coverage = kind, level, coverage
+        self.distribution, self.verify_samples = distribution(1.0), verify_samples
+        super().__init__(observer, sizes.standard(self.distribution, sobol_units(len(sizes.errors), samples, key)))
+        self.kind, self.level, self.aim, self.coverage = kind, level, level, coverage
         self.extra = 0.0
 
     def reduce(self, h: Float[np.ndarray, "n l"], dh: Float[np.ndarray, "n l p"]) -> Constrained:
@@ -182,12 +219,33 @@ class SampleCriterion(Criterion):
             np.array([weights @ h[rows, worst][order]]), (weights @ dh[rows, worst][order])[None], (-1,)
         )
 
+    def verify(self, y: Float[np.ndarray, " p"], key: RandomKey) -> Verified:
+        """As `Criterion.verify`: an independent Monte Carlo run."""
+        return verify_sample(
+            self.observer, lambda z: self.variables.deviations(y, z), key, self.distribution, self.verify_samples,
+            mean_and_deviations(self.coverage),
+        )  # fmt: skip
+
+    def shortfall(self, verified: Verified) -> float:
+        """As `Criterion.shortfall`."""
+        if self.kind == "rss":
+            return super().shortfall(verified)
+        return self.level - verified.fraction if verified.interval[1] < self.level else 0.0
+
     def tighten(self, shortfall: float) -> None:
         """Aim higher after a fresh run fell short: of a yield by the fraction, of "rss" by the normalised limit."""
         if self.kind == "rss":
             self.extra += shortfall
         else:
             self.aim += min(shortfall, 0.5 * (1.0 - self.aim))
+
+
+def verify_nominal(observer: Observer, y: Float[np.ndarray, " p"]) -> Verified:
+    """A run of the perfect mechanism."""
+    request = observer.request
+    values = observer.values(request.variables.deviations(y, np.zeros((1, len(request.variables.errors)))))
+    h = np.array([limit.normalise(values[0, limit.position]) for limit in request.limits])
+    return without_interval(h, values, "a run of the perfect mechanism")
 
 
 def search_starts(sizes: Sizes, key: RandomKey) -> Float[np.ndarray, "starts k"]:

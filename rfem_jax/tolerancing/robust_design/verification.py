@@ -1,9 +1,7 @@
 """A fresh run at an answer, which did not serve to find it, and what it says of the limits.
 
-Place in the pipeline: criteria, search -> **verification** -> allocation, optimisation.
-
-Values come from the program without derivatives.  nominal: the perfect mechanism; worst_case: searches from new
-starting points, and all corners of the box where they are few; rss and yield: an independent Monte Carlo run.
+Place in the pipeline: observations -> **verification** -> criteria, which say how they are verified. Values come from
+the program without derivatives.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -13,16 +11,12 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from rfem_jax.tolerancing.optimisation.starting_points import box_corners
 from rfem_jax.tolerancing.problems.distributions import Tolerance
-from rfem_jax.tolerancing.robust_design.criteria import search_starts, worst_points
 from rfem_jax.tolerancing.robust_design.observations import Observer
 from rfem_jax.tolerancing.robust_design.request import Limit
 from rfem_jax.tolerancing.robust_design.result import LimitCheck
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
 from rfem_jax.tolerancing.sampling.statistics import estimate_mean, estimate_std, estimate_yield
-
-ALL_CORNERS = 8  # errors, of which all corners of the box are tried
 
 Statistic = Callable[[Float[np.ndarray, " n"]], tuple[float, float, float]]
 
@@ -42,24 +36,10 @@ class Verified(NamedTuple):
     worst: tuple[Any, ...] = ()
 
 
-def verify_nominal(observer: Observer, y: Float[np.ndarray, " p"]) -> Verified:
-    """The perfect mechanism."""
-    request = observer.request
-    values = observer.values(request.variables.deviations(y, np.zeros((1, len(request.variables.errors)))))
-    h = np.array([limit.normalise(values[0, limit.position]) for limit in request.limits])
-    return _exact(h, values, "a run of the perfect mechanism")
-
-
-def verify_worst_case(observer: Observer, y: Float[np.ndarray, " p"], key: RandomKey) -> Verified:
-    """Searches from new starting points, and corners of the box."""
-    request, variables = observer.request, observer.request.variables
-    k, starts = len(variables.errors), search_starts(variables.sizes, key)
-    points = np.concatenate([worst_points(observer, limit, y, starts)[0][:2] for limit in request.limits])
-    what = "searches for the worst case from new starting points"
-    if k <= ALL_CORNERS and variables.sizes.region == "box":
-        points, what = np.concatenate([points, box_corners(k)]), f"{what} and at all {2**k} corners"
-    values = observer.values(variables.deviations(y, np.concatenate([np.zeros((1, k)), points])))
-    return _exact(np.nanmax(request.normalise(values), axis=0), values, what)
+def without_interval(h: Float[np.ndarray, " l"], values: Float[np.ndarray, "n m"], what: str) -> Verified:
+    """A run without an interval; limits that have no value do not hold."""
+    h = np.where(np.isfinite(h), h, np.inf)
+    return Verified(h, h, h, np.nan, (np.nan, np.nan), int(np.sum(~np.isfinite(values).all(axis=1))), what)
 
 
 def verify_sample(
@@ -141,9 +121,3 @@ def check_limits(
             )
         )
     return tuple(checks)
-
-
-def _exact(h: Float[np.ndarray, " l"], values: Float[np.ndarray, "n m"], what: str) -> Verified:
-    """A run without an interval; limits that have no value do not hold."""
-    h = np.where(np.isfinite(h), h, np.inf)
-    return Verified(h, h, h, np.nan, (np.nan, np.nan), int(np.sum(~np.isfinite(values).all(axis=1))), what)
