@@ -3,7 +3,8 @@
     task_report     the base of all, and the order in which a task is done
     study_problem   the study's mechanism as a problem of the tolerance studies
     task_files      what their JSON files have in common
-    sensitivity, monte_carlo, worst_case, allocation, sweep, reliability
+    solution_report what allocation and optimise have in common
+    sensitivity, monte_carlo, worst_case, allocation, optimise, sweep, reliability
 
 Place in the pipeline: `report.commands` does the tasks that a study declares; `rfem_jax.task_kinds` lists the kinds.
 """
