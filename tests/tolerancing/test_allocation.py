@@ -253,13 +253,7 @@ def test_a_cost_model_may_be_an_object_without_a_hash():
     assert float(price) == pytest.approx(2.0) and np.asarray(slope) == pytest.approx([-4.0])
 
 
-def test_bad_requests_are_refused():
-    with pytest.raises(InputError, match="0 < smallest < largest"):
-        allocate(LINEAR, {"f": 2.0}, Reciprocal(), {"e0": (0.2, 0.1)}, key=KEY)
-    with pytest.raises(InputError, match="criterion"):
-        allocate(LINEAR, {"f": 2.0}, Reciprocal(), bounds(3), "robust", key=KEY)
-    with pytest.raises(InputError, match="finite limits"):
-        allocate(LINEAR, {"f": np.inf}, Reciprocal(), bounds(3), key=KEY)
+def test_a_metric_with_a_kink_at_the_centre_is_refused():
     kink = make({"f": lambda x: jnp.sqrt(jnp.sum(x**2))}, 2)
     with pytest.raises(InputError, match="limit its mean square"):
         allocate(kink, {"f": 1.0}, Reciprocal(), bounds(2), key=KEY)

@@ -163,6 +163,8 @@ def model():
         ({"cost": {"e0": Reciprocal()}}, "`e1` has none"),
         ({"cost": {"e0": Reciprocal(), "e1": 3.0}}, "callable"),
         ({"criterion": "yield", "target": 1.0}, "`target`"),
+        ({"criterion": "robust"}, "`criterion`"),
+        ({"limits": {"load": np.inf}}, "finite limits"),
         ({"statistic": "median"}, "`statistic`"),
         ({"mode": "backward"}, "`mode`"),
     ],

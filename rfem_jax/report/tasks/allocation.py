@@ -9,7 +9,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -24,7 +23,7 @@ from rfem_jax.report.output import write_csv
 from rfem_jax.report.quantities import column_name
 from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles, new_figure
 from rfem_jax.report.tasks import study_problem
-from rfem_jax.report.tasks.solution_report import Limits, SolutionReport
+from rfem_jax.report.tasks.solution_report import SolutionReport
 from rfem_jax.report.tasks.task_files import write_task_json
 from rfem_jax.text_layout import align_columns
 from rfem_jax.tolerancing.problems.distributions import DISTRIBUTIONS
@@ -51,7 +50,7 @@ class AllocationReport(SolutionReport[AllocationTask, AllocationStudy]):
 
     def run(self, folder: Path) -> AllocationStudy:
         """The cheapest tolerances, and those of the task's scaled limits."""
-        task, limits, costs = self.task, self.limits, self.costs
+        task, limits, costs = self.task, self.task.limits, self.costs
         problem = study_problem.build_problem(self.study, task.metrics)
         keys = jax.random.split(jax.random.key(task.seed), 1 + len(task.scales))
         solve = partial(
@@ -87,9 +86,9 @@ class AllocationReport(SolutionReport[AllocationTask, AllocationStudy]):
         allocation_front.csv (cost, limits and tolerances of each); costs are in the currency of the study."""
         answer = result.answer
         content = {
-            **_allocation(answer),
+            **answer.entries(),
             "before": {"tolerances": result.before, "cost": result.cost_before},
-            "front": [{"scale": scale, **_allocation(one)} for scale, one in result.front.items()],
+            "front": [{"scale": scale, **one.entries()} for scale, one in result.front.items()],
             "units": {**answer.units, **{check.metric: check.unit for check in answer.limits}},
         }
         names = {"name": "error", "lowest": "smallest", "highest": "largest"}
@@ -136,24 +135,17 @@ class AllocationReport(SolutionReport[AllocationTask, AllocationStudy]):
         return figures
 
 
-def scaled_limits(checks: Iterable[LimitCheck], scale: float) -> Limits:
+def scaled_limits(checks: Iterable[LimitCheck], scale: float) -> dict[str, tuple[float, float]]:
     """Limits {metric: (low, high)} with their distances from the nominal values times `scale`.
 
     Arguments: checks, the `LimitCheck`s of an allocation with the limits as specified.
     """
-    limits: Limits = {}
+    limits: dict[str, tuple[float, float]] = {}
     for check in checks:
-        low, high = limits.get(check.metric, (None, None))
+        low, high = limits.get(check.metric, (-math.inf, math.inf))
         moved = check.nominal + scale * (check.limit - check.nominal)
         limits[check.metric] = (low, moved) if check.side == "upper" else (moved, high)
     return limits
-
-
-def _allocation(one: Allocation) -> dict[str, Any]:
-    keys = ("criterion", "status", "message", "tolerances", "cost", "at_bounds", "level")
-    keys += ("predicted_yield", "verified_yield", "yield_interval", "verified_by", "history")
-    found = {key: getattr(one, key) for key in (*keys, "failed", "hessian_error")}
-    return found | {"limits": one.limit_entries()}
 
 
 def allocation_text(found: AllocationStudy) -> str:

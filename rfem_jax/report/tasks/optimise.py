@@ -3,7 +3,7 @@
 Place in the pipeline: `rfem_jax.description.tasks.optimise` -> **optimise** -> terminal, files and pictures.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -56,7 +56,7 @@ class OptimiseReport(SolutionReport[OptimiseTask, Optimised]):
         problem = study_problem.build_problem(self.study, task.metrics)
         solve = partial(
             optimise, problem, designs, None if task.robust == "nominal" and not task.bounds else widths,
-            limits=self.limits, robust=task.robust, cost=self.costs or None, key=jax.random.key(task.seed),
+            limits=task.limits, robust=task.robust, cost=self.costs or None, key=jax.random.key(task.seed),
             target=task.target, coverage=task.coverage, distribution=DISTRIBUTIONS[task.distribution],
             samples=task.samples, verify_samples=task.verify_samples,
             starts=task.starts, searches=task.searches, steps=task.steps, mode=task.mode, batch=task.batch,
@@ -82,11 +82,11 @@ class OptimiseReport(SolutionReport[OptimiseTask, Optimised]):
                 self.study,
                 self.name,
                 {
-                    **_entries(answer),
+                    **answer.entries(),
                     "bounds": {name: list(self.study.design_bounds[name]) for name in answer.designs},
                     "tolerances_before": {name: self.before.get(name) for name in answer.tolerances},
                     "tolerance_bounds": {name: list(pair) for name, pair in self.task.bounds.items()},
-                    "front": [{"weight": weight, **_entries(one)} for weight, one in result.front.items()],
+                    "front": [{"weight": weight, **one.entries()} for weight, one in result.front.items()],
                     "units": answer.units | answer.term_units | {check.metric: check.unit for check in answer.limits},
                 },
             ),
@@ -145,10 +145,6 @@ class OptimiseReport(SolutionReport[OptimiseTask, Optimised]):
         if name == "objective":
             return " + ".join(f"{weight:g} {term}" for term, weight in value.items())
         return super().setting_text(name, value)
-
-
-def _entries(answer: DesignOptimum) -> dict[str, Any]:
-    return asdict(answer) | {"limits": answer.limit_entries()}
 
 
 def _limit_rows(answer: DesignOptimum) -> list[dict[str, Any]]:

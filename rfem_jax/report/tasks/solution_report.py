@@ -22,7 +22,6 @@ from rfem_jax.tolerancing.robust_design.result import Solution
 GREY = "#A0A0A0"
 
 CostModel = Reciprocal | ReciprocalSquared | Exponential
-Limits = dict[str, tuple[float | None, float | None]]
 Asked = TypeVar("Asked", bound=FoundTolerancesTask)
 Result = TypeVar("Result")
 
@@ -37,15 +36,6 @@ class SolutionReport(TaskReport[Asked, Result]):
     def costs(self) -> dict[str, CostModel]:
         """{error or zone: cost of its tolerance}"""
         return {name: build_cost(cost) for name, cost in self.task.costs.items()}
-
-    @property
-    def limits(self) -> Limits:
-        """{metric: (low, high)}, None for an open end."""
-
-        def closed(end: float) -> float | None:
-            return end if np.isfinite(end) else None
-
-        return {name: (closed(low), closed(high)) for name, (low, high) in self.task.limits.items()}
 
     @property
     def before(self) -> dict[str, float]:

@@ -10,7 +10,8 @@ an augmented Lagrangian with gradients, first on this model, then by successive 
 the answer, correct the model there, solve again (steps of at most a factor `STEP` in t), until limits hold and the cost
 does not change any more. The answer is then verified by a run with random numbers that have not been used before. See
 corrected_worst_case.py and corrected_statistics.py for the meaning of "worst_case", "rss" and "yield" and for their
-corrections.
+corrections. The search of `optimise` (search.py) on the same models stops at kinks of a quantile: at a yield of 24
+tolerances its answer costs 5.7 % more.
 
 Symbols: t (v,) half-widths [rad, m], c_i cost of error i, h = (f - limit)/headroom normalised limit,
 headroom = |limit - f(centre)|.
@@ -29,7 +30,7 @@ from rfem_jax.tolerancing.optimisation.sizes import Zones
 from rfem_jax.tolerancing.problems.distributions import Normal, Tolerance
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.quadratic_model import QuadraticModel
-from rfem_jax.tolerancing.robust_design.corrected_model import Answer, CorrectedModel
+from rfem_jax.tolerancing.robust_design.corrected_model import Answer
 from rfem_jax.tolerancing.robust_design.corrected_statistics import CorrectedStatistics
 from rfem_jax.tolerancing.robust_design.corrected_worst_case import CorrectedWorstCase
 from rfem_jax.tolerancing.robust_design.cost_models import CostModel
@@ -44,6 +45,8 @@ from rfem_jax.tolerancing.worst_cases import STARTS
 CRITERIA = ("worst_case", "rss", "yield")
 STEP = 2.0
 ATTEMPTS = 4  # settled answers that a fresh run checks
+
+Criterion = CorrectedWorstCase | CorrectedStatistics
 
 
 def allocate(
@@ -98,7 +101,7 @@ def allocate(
     observer = Observer(check_allocation(problem, limits, cost, bounds, at, mode, batch, model, zones, together))
     design, refine, verify, last = jax.random.split(key, 4)
     if criterion == "worst_case":
-        study: CorrectedModel = CorrectedWorstCase(observer, design, starts)
+        study: Criterion = CorrectedWorstCase(observer, design, starts)
     else:
         study = CorrectedStatistics(
             observer, design, criterion, level=target, coverage=coverage, statistic=statistic,
@@ -117,7 +120,7 @@ def _sample_number(samples, criterion, target) -> int:
     return int(np.clip(2 ** np.ceil(np.log2(20 / (1 - target))), 256, 16384))
 
 
-def _solve(study: CorrectedModel, criterion, rounds, tolerance, keys) -> Allocation:
+def _solve(study: Criterion, criterion, rounds, tolerance, keys) -> Allocation:
     refine, verify, last = keys
     answer, history, status, verified = _correct(study, rounds, tolerance, refine, verify)
     message = ""
@@ -129,7 +132,7 @@ def _solve(study: CorrectedModel, criterion, rounds, tolerance, keys) -> Allocat
 
 
 def _correct(
-    study: CorrectedModel, rounds, tolerance, refine, verify
+    study: Criterion, rounds, tolerance, refine, verify
 ) -> tuple[Answer, list[tuple[float, float]], str, Verified | None]:
     """Solve, observe, correct until settled and verified: answer, history, status, and the last fresh run."""
     lower, upper = np.log(study.variables.width_lower), np.log(study.variables.width_upper)
@@ -159,21 +162,21 @@ def _correct(
     return answer, history, "not_verified", fresh
 
 
-def _next(study: CorrectedModel, answer: Answer, lower, upper) -> Answer:
+def _next(study: Criterion, answer: Answer, lower, upper) -> Answer:
     """The cheapest point of the study's present model near the last one."""
     near = np.clip(answer.x - np.log(STEP), lower, upper)
     far = np.clip(answer.x + np.log(STEP), lower, upper)
     return study.solve(answer.x, near, far)
 
 
-def _passes(study: CorrectedModel, verified: Verified, tolerance) -> bool:
+def _passes(study: Criterion, verified: Verified, tolerance) -> bool:
     """Whether the fresh run agrees: no limit (or the joint yield) violated beyond its interval."""
     if study.joint:
         return verified.interval[1] >= study.level
     return bool(np.all(verified.low <= 10 * tolerance))
 
 
-def _explain(study: CorrectedModel, status, verified: Verified, key, tolerance) -> tuple[str, str]:
+def _explain(study: Criterion, status, verified: Verified, key, tolerance) -> tuple[str, str]:
     """Status and message: tells an infeasible request from one that did not converge."""
     if status == "not_verified":
         return status, (
@@ -195,7 +198,7 @@ def _explain(study: CorrectedModel, status, verified: Verified, key, tolerance) 
     return status, "The corrections did not converge; allow more rounds or a looser tolerance."
 
 
-def _report(study: CorrectedModel, criterion, answer: Answer, history, outcome, verified: Verified) -> Allocation:
+def _report(study: Criterion, criterion, answer: Answer, history, outcome, verified: Verified) -> Allocation:
     """`outcome`: status, message."""
     request, variables, t = study.request, study.variables, np.exp(answer.x)
     model, names = request.model, variables.sizes.names

@@ -9,18 +9,15 @@ every step.
 Symbols: t (v,) sizes [rad, m], x = log t, h (l,) normalised limits (<= 0 holds).
 """
 
-import abc
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.description.basics.errors import InputError
-from rfem_jax.tolerancing.robust_design.models import Quadratic, cheapest
+from rfem_jax.tolerancing.robust_design.models import Model, Quadratic, cheapest
 from rfem_jax.tolerancing.robust_design.observations import Observer
-from rfem_jax.tolerancing.robust_design.verification import Verified
-from rfem_jax.tolerancing.sampling.sequences import RandomKey
 
 HalfWidths = Float[np.ndarray, " v"]
 Normalised = Float[np.ndarray, " l"]
@@ -37,8 +34,14 @@ class Answer(NamedTuple):
     prices: Normalised
 
 
-class CorrectedModel(abc.ABC):
-    """See the module's docstring.
+class CorrectedModel:
+    """What both criteria of an allocation share.
+
+    Each has `model()`, constraints as a function of the size of every coordinate, as it is corrected so far; `solve`,
+    the cheapest x on it, from a start and between lower and upper (v,); `observe`, the constraints of the full problem
+    at t, which corrects the model; `verify`, a fresh run at t; `learn`, a correction by one that fell short (which
+    cannot verify an answer any more); `quadratic_worst`, h of the quadratic model alone; `best`, the lowest h that the
+    full problem can reach: that of the smallest tolerances.
 
     Attributes: joint, whether one constraint counts all limits; settling, how much looser the cost settles than limits
     hold; level, the fraction of samples that it refers to (NaN without); failed samples so far.
@@ -71,34 +74,6 @@ class CorrectedModel(abc.ABC):
             )
         return Quadratic(jnp.asarray(offset), jnp.asarray(gradient), jnp.asarray(hessian))
 
-    @abc.abstractmethod
-    def model(self) -> Any:
-        """The model as it is corrected so far, constraints as a function of the size of every coordinate."""
-
-    @abc.abstractmethod
-    def solve(self, x: HalfWidths, lower: HalfWidths, upper: HalfWidths) -> Answer:
-        """Cheapest x = log t on the model, from the start x (v,) and between lower and upper (v,)."""
-
-    @abc.abstractmethod
-    def observe(self, t: HalfWidths, key: RandomKey) -> Float[np.ndarray, " constraints"]:
-        """The constraints of the full problem at t; corrects the model."""
-
-    @abc.abstractmethod
-    def verify(self, t: HalfWidths, key: RandomKey) -> Verified:
-        """A fresh run at t."""
-
-    @abc.abstractmethod
-    def learn(self, t: HalfWidths, fresh: Verified) -> None:
-        """Correct the model by a fresh run at t that fell short (which cannot verify an answer any more)."""
-
-    @abc.abstractmethod
-    def quadratic_worst(self, t: HalfWidths) -> Normalised:
-        """h (l,) of the quadratic model alone."""
-
-    @abc.abstractmethod
-    def best(self, key: RandomKey) -> Normalised:
-        """Lowest reachable h (l,) of the full problem: that of the smallest tolerances."""
-
     def predicted_yield(self, t: HalfWidths) -> float:
         """Fraction of samples within all limits by the corrected model, NaN but for a yield."""
         return np.nan
@@ -108,10 +83,10 @@ class CorrectedModel(abc.ABC):
         return np.nan
 
     def _cheapest(
-        self, x: HalfWidths, lower: HalfWidths, upper: HalfWidths, **effort: int
+        self, model: Model, x: HalfWidths, lower: HalfWidths, upper: HalfWidths, **effort: int
     ) -> tuple[HalfWidths, float, Float[np.ndarray, " c"], Float[np.ndarray, " c"]]:
         """x of the cheapest sizes on the model, their cost, the constraints (c,) there and their multipliers (c,)."""
         arrays = map(jnp.asarray, (self.sizes.owner, x, lower, upper))
-        solution, unit, h = cheapest(self.model(), self.request.costs, *arrays, **effort)
+        solution, unit, h = cheapest(model, self.request.costs, *arrays, **effort)
         multipliers = np.asarray(solution.multipliers) * float(unit)
         return np.asarray(solution.point), float(solution.cost) * float(unit), np.asarray(h), multipliers

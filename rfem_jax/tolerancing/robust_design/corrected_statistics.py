@@ -86,17 +86,17 @@ class CorrectedStatistics(CorrectedModel):
         return Sampled(q, units, jnp.zeros_like(units), values, gradients)
 
     def model(self) -> Moments | Sample:
-        """As `CorrectedModel.model`: moments (RSS) or a sample (yield)."""
-        return self._sample_model() if self.joint else self._moments_model()
-
-    def _sample_model(self) -> Sample:
-        return Sample(*self._tail())
-
-    def _moments_model(self) -> Moments:
+        """Moments (RSS) or a sample (yield), as they are corrected so far."""
         sampled, weights = self._tail()
+        if self.joint:
+            return Sample(sampled, weights)
+        return self._moments(None if self.sampled is None else sampled, weights)
+
+    def _moments(self, sampled: Sampled | None = None, weights: jax.Array | None = None) -> Moments:
+        """Those of the quadratic model alone where there are no samples."""
         deviation = jnp.asarray(self.sizes.deviations(self.distribution))
         coverage, extra = jnp.asarray(float(self.coverage)), jnp.asarray(self.extra)
-        sampled = None if self.sampled is None else sampled
+        weights = jnp.zeros(0) if weights is None else weights
         return Moments(self.quadratic, deviation, coverage, extra, sampled, weights, self.statistic)
 
     def _tail(self) -> tuple[Sampled, jax.Array]:
@@ -130,13 +130,13 @@ class CorrectedStatistics(CorrectedModel):
         return np.array([sample_quantile(c, self.level) for c in np.concatenate([h, bad]).T])
 
     def quadratic_worst(self, t: HalfWidths) -> Normalised:
-        """As `CorrectedModel.quadratic_worst`."""
+        """h (l,) of the quadratic model alone."""
         if self.joint:
             return self._quantiles(self._nominal(), t)
-        return np.asarray(self._moments_model().moments(self._spread(t)))
+        return np.asarray(self._moments().moments(self._spread(t)))
 
     def predicted_yield(self, t: HalfWidths) -> float:
-        """As `CorrectedModel.predicted_yield`, of the standard points."""
+        """Fraction of the standard points within all limits, by the corrected model; NaN but for a yield."""
         if not self.joint:
             return np.nan
         sampled = self._nominal() if self.sampled is None else self.sampled
@@ -144,9 +144,9 @@ class CorrectedStatistics(CorrectedModel):
         return float(np.sum(np.all(h <= 0, axis=1)) / len(self.units))
 
     def solve(self, x: HalfWidths, lower: HalfWidths, upper: HalfWidths) -> Answer:
-        """As `CorrectedModel.solve`."""
+        """Cheapest x = log t on the model."""
         rounds, evaluations = (15, 300) if self.joint else (25, 1000)
-        x, cost, h, price = self._cheapest(x, lower, upper, rounds=rounds, evaluations=evaluations)
+        x, cost, h, price = self._cheapest(self.model(), x, lower, upper, rounds=rounds, evaluations=evaluations)
         predicted = h
         if self.joint:
             # One multiplier for all limits: shared by how often each is worst near the quantile.
@@ -156,11 +156,11 @@ class CorrectedStatistics(CorrectedModel):
 
     def _shares(self, t) -> Normalised:
         """Share of each limit in the weights of the samples in which it is the worst one."""
-        model = self._sample_model()
-        h = np.asarray(model.sampled(self._spread(t)))
+        sampled, weights = self._tail()
+        h = np.asarray(sampled(self._spread(t)))
         order = np.argsort(np.max(h, axis=1), kind="stable")
         owner = np.argmax(h[order], axis=1)
-        weights = np.asarray(model.weights)
+        weights = np.asarray(weights)
         return np.array([weights[owner == i].sum() for i in range(h.shape[1])])
 
     def observe(self, t: HalfWidths, key: RandomKey) -> Float[np.ndarray, " constraints"]:
@@ -182,7 +182,7 @@ class CorrectedStatistics(CorrectedModel):
         return np.asarray(self.model()(self._spread(t)))
 
     def verify(self, t: HalfWidths, key: RandomKey) -> Verified:
-        """As `CorrectedModel.verify`: a fresh Monte Carlo run."""
+        """A fresh Monte Carlo run at t."""
         return verify_sample(
             self.observer, lambda z: self.variables.scattered(t, z), key, self.distribution, self.verify_samples,
             self._estimate,
@@ -199,7 +199,7 @@ class CorrectedStatistics(CorrectedModel):
         return sample_quantile(h, self.level), low, high
 
     def learn(self, t: HalfWidths, fresh: Verified) -> None:
-        """As `CorrectedModel.learn`: raise the aim by the shortfall."""
+        """Raise the aim by the shortfall of a fresh run."""
         if self.joint:
             short = max(self.level - fresh.fraction, 0.0)
             self.aim = self.aim + min(short, 0.5 * (1 - self.aim))
@@ -207,7 +207,7 @@ class CorrectedStatistics(CorrectedModel):
             self.extra = self.extra + np.maximum(np.where(np.isfinite(fresh.h), fresh.h, 0.0), 0.0)
 
     def best(self, key: RandomKey) -> Normalised:
-        """As `CorrectedModel.best`."""
+        """The statistic h (l,) of the full problem at the smallest tolerances."""
         t = self.variables.width_lower
         full = np.array([self._estimate(column)[0] for column in self._smallest().T])
         if self.joint:
@@ -216,10 +216,10 @@ class CorrectedStatistics(CorrectedModel):
         # statistic itself (three deviations away) badly.
         nominal = np.asarray(self._nominal()(self._spread(t)))
         quadratic = np.array([self._estimate(column)[0] for column in nominal.T])
-        return full - quadratic + np.asarray(self._moments_model().moments(self._spread(t)))
+        return full - quadratic + np.asarray(self._moments().moments(self._spread(t)))
 
     def best_yield(self) -> float:
-        """As `CorrectedModel.best_yield`."""
+        """Fraction of the standard points within all limits at the smallest tolerances; NaN but for a yield."""
         return float(np.mean(within(self._smallest()))) if self.joint else np.nan
 
     def _smallest(self) -> Float[np.ndarray, "n l"]:

@@ -45,7 +45,7 @@ class CorrectedWorstCase(CorrectedModel):
         self.anchored = False
 
     def model(self) -> Scenarios:
-        """As `CorrectedModel.model`: scenarios, filled up to 4, 8, 16 ... rows so that few programs are compiled."""
+        """The scenarios, filled up to 4, 8, 16 ... rows so that few programs are compiled."""
         count = len(self.points)
         size = max(4, 1 << max(0, count - 1).bit_length())
 
@@ -78,7 +78,7 @@ class CorrectedWorstCase(CorrectedModel):
             self.gradients = np.concatenate([self.gradients, gradient])
 
     def quadratic_worst(self, t: HalfWidths) -> Normalised:
-        """As `CorrectedModel.quadratic_worst`."""
+        """h (l,) of the quadratic model alone."""
         return self._quadratic_maxima(t)[0]
 
     def _quadratic_maxima(self, t) -> tuple[Normalised, list[Float[np.ndarray, "p k"]]]:
@@ -95,7 +95,7 @@ class CorrectedWorstCase(CorrectedModel):
         return np.array(heights), found
 
     def solve(self, x: HalfWidths, lower: HalfWidths, upper: HalfWidths) -> Answer:
-        """As `CorrectedModel.solve`.
+        """Cheapest x = log t on the model.
 
         Before the first observation the quadratic model's own worst points are added until there are no new ones.
         """
@@ -117,7 +117,7 @@ class CorrectedWorstCase(CorrectedModel):
         return len(self.points) - before
 
     def _solve_once(self, x, lower, upper) -> Answer:
-        x, cost, h, multipliers = self._cheapest(x, lower, upper)
+        x, cost, h, multipliers = self._cheapest(self.model(), x, lower, upper)
         multipliers = multipliers[: len(self.owner)]
         prices = [np.sum(multipliers[self.owner == i]) for i in range(len(self.request.limits))]
         h = self._per_limit(h)
@@ -140,13 +140,13 @@ class CorrectedWorstCase(CorrectedModel):
         return np.array(values), found
 
     def observe(self, t: HalfWidths, key: RandomKey) -> Normalised:
-        """As `CorrectedModel.observe`: the worst cases of the full problem."""
+        """h (l,) of the worst cases of the full problem at t; corrects the model."""
         h, found = self._search(t, key, False)
         self._correct(t, found)
         return h
 
     def learn(self, t: HalfWidths, fresh: Verified) -> None:
-        """As `CorrectedModel.learn`: the worst cases become scenarios."""
+        """Take the worst cases of a fresh run at t as scenarios."""
         self._correct(t, fresh.worst)
 
     def _correct(self, t, found: Sequence[WorstCase]) -> None:
@@ -175,7 +175,7 @@ class CorrectedWorstCase(CorrectedModel):
         return values[np.arange(len(metric)), metric], self.variables.by_coordinates(gradients)
 
     def verify(self, t: HalfWidths, key: RandomKey) -> Verified:
-        """As `CorrectedModel.verify`: two searches from fresh starts, and every corner where they are few."""
+        """Two searches at t from fresh starts, and every corner where they are few."""
         runs = [
             self._search(t, part, corners) for part, corners in zip(jax.random.split(key), ("auto", False), strict=True)
         ]
@@ -184,5 +184,5 @@ class CorrectedWorstCase(CorrectedModel):
         return Verified(h, h, h, np.nan, (np.nan, np.nan), 0, what, found)  # failed samples are counted in all searches
 
     def best(self, key: RandomKey) -> Normalised:
-        """As `CorrectedModel.best`: boxes are nested."""
+        """Lowest reachable h (l,): boxes are nested, so it is that of the smallest tolerances."""
         return self._search(self.variables.width_lower, key, "auto")[0]

@@ -138,6 +138,9 @@ class Sample(eqx.Module):
         return (self.weights @ jnp.sort(jnp.max(self.sampled(t), axis=1)))[None]
 
 
+Model = Scenarios | Moments | Sample
+
+
 def quantile_weights(n: int, level: float) -> Float[np.ndarray, " n"]:
     """Harrell-Davis weights (n,) of the order statistics for the quantile `level`.
 
@@ -162,7 +165,7 @@ def sample_quantile(h: Float[np.ndarray, " n"], level: float) -> float:
 
 @Program
 def cheapest(
-    model: Scenarios | Moments | Sample,
+    model: Model,
     costs: Sequence[CostModel],
     owner: Int[Array, " k"],
     x: Float[Array, " v"],

@@ -4,7 +4,7 @@ Place in the pipeline: allocation, optimisation -> **result** -> reports.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 import numpy as np
@@ -83,10 +83,14 @@ class Solution(LabelledSolution):
 
     limit_numbers: ClassVar[tuple[str, ...]]
 
-    def limit_entries(self) -> list[dict[str, Any]]:
-        """Every limit as files have it."""
+    def _head(self) -> str:
+        return f"status {self.status}"
+
+    def entries(self) -> dict[str, Any]:
+        """The answer as files have it."""
         names = ("metric", "unit", "side", *self.limit_numbers, "verified_interval")
-        return [{name: getattr(check, name) for name in names} for check in self.limits]
+        limits = [{name: getattr(check, name) for name in names} for check in self.limits]
+        return {one.name: getattr(self, one.name) for one in fields(self)} | {"limits": limits}
 
     def _text(self, tables: Sequence[str], after: Mapping[str, str], tail: Sequence[str]) -> str:
         """The answer in words: limits with the columns `after` the interval, {column: name}, and `tail`."""
@@ -133,7 +137,7 @@ class Allocation(LabelledAllocation, Solution):
     )
 
     def _head(self) -> str:
-        return f"Allocation ({self.criterion}): status {self.status}, cost {show_number(self.cost, 7)}"
+        return f"Allocation ({self.criterion}): {super()._head()}, cost {show_number(self.cost, 7)}"
 
     def __str__(self) -> str:
         tail = [f"verified by {self.verified_by}; {self.failed} failed samples"]
@@ -170,8 +174,8 @@ class DesignOptimum(LabelledOptimum, Solution):
         terms = ", ".join(
             f"{name} {show_number(value)} {self.term_units[name]}".rstrip() for name, value in self.terms.items()
         )
-        head = f"Optimum ({self.criterion.replace('_', ' ')}): status {self.status}, "
-        return f"{head}objective {show_number(self.objective, 7)} ({terms})"
+        head = f"Optimum ({self.criterion.replace('_', ' ')}): {super()._head()}"
+        return f"{head}, objective {show_number(self.objective, 7)} ({terms})"
 
     def __str__(self) -> str:
         rows = [
