@@ -5,7 +5,7 @@ import pytest
 from rfem_jax.lazy_names import lazy_names
 from tests.processes import in_a_new_process
 
-UNUSED = "scipy.stats rfem_jax.tolerancing.allocation.allocation_study rfem_jax.tolerancing.sampling.monte_carlo_study"
+UNUSED = "scipy.stats rfem_jax.tolerancing.robust_design.allocation rfem_jax.tolerancing.sampling.monte_carlo_study"
 
 
 def test_names_are_those_of_their_modules():

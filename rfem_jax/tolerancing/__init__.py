@@ -10,8 +10,7 @@ Every study takes a `problem(errors) -> (values, status)`: the simulator (`Probl
     designs         sweeps over ranges of the errors, response surfaces
     rare_failures   probabilities of limits broken, by FORM, importance sampling and subset simulation
     worst_cases     the largest value within the tolerances
-    allocation      the cheapest tolerances that keep the limits
-    robust_design   dimensions and tolerances together
+    robust_design   the best dimensions and tolerances that keep limits; the cheapest tolerances alone
 
 Names are imported when they are first used: a problem needs no statistics.
 """
@@ -19,8 +18,6 @@ Names are imported when they are first used: a problem needs no statistics.
 from rfem_jax.lazy_names import lazy_names
 
 _names = {
-    "allocation.allocation_study": "allocate",
-    "allocation.cost_models": "Exponential Reciprocal ReciprocalSquared",
     "designs.response_surface": "fit_response_surface",
     "designs.sweep_study": "sweep",
     "problems.capability": "process_capability",
@@ -32,6 +29,8 @@ _names = {
     "problems.quadratic_model": "QuadraticModel expand",
     "problems.simulated_problem": "Problem",
     "rare_failures.failure_study": "reliability",
+    "robust_design.allocation": "allocate",
+    "robust_design.cost_models": "Exponential Reciprocal ReciprocalSquared",
     "robust_design.front": "pareto_front",
     "robust_design.optimisation": "optimise",
     "sampling.monte_carlo_study": "first_samples monte_carlo",

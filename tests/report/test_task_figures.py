@@ -150,7 +150,7 @@ def test_worst_cases_and_allocations_show_their_answers(study, tmp_path):
     np.testing.assert_allclose(widths["D.d_y, mm"], expected)
     words = words_of(figures["allocation_tolerances"])
     after = math.degrees(found.answer.tolerances["D.delta_x"])
-    assert f"{after:.3g} deg" in words and "0.25 deg" in words and "before 3" in words
+    assert f"{after:.4g} deg" in words and "0.25 deg" in words and "before 3" in words
 
 
 def test_the_scatter_matrix_shows_the_errors_that_matter_most():

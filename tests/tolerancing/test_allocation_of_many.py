@@ -7,14 +7,15 @@ import pytest
 from scipy import optimize, special, stats
 
 from rfem_jax.description.basics.errors import InputError
-from rfem_jax.tolerancing.allocation.allocation_study import ATTEMPTS, _passes, allocate
-from rfem_jax.tolerancing.allocation.cost_models import Exponential, Reciprocal, ReciprocalSquared
-from rfem_jax.tolerancing.allocation.models import Verified
-from rfem_jax.tolerancing.allocation.request import check_request
-from rfem_jax.tolerancing.allocation.statistical_criteria import StatisticalCriterion
 from rfem_jax.tolerancing.problems.distributions import Uniform
 from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric
 from rfem_jax.tolerancing.problems.quadratic_model import expand
+from rfem_jax.tolerancing.robust_design.allocation import ATTEMPTS, _passes, allocate
+from rfem_jax.tolerancing.robust_design.corrected_statistics import CorrectedStatistics
+from rfem_jax.tolerancing.robust_design.cost_models import Exponential, Reciprocal, ReciprocalSquared
+from rfem_jax.tolerancing.robust_design.observations import Observer
+from rfem_jax.tolerancing.robust_design.request import check_allocation
+from rfem_jax.tolerancing.robust_design.verification import Verified
 
 jax.config.update("jax_enable_x64", True)
 
@@ -162,6 +163,8 @@ def model():
         ({"cost": {"e0": Reciprocal()}}, "`e1` has none"),
         ({"cost": {"e0": Reciprocal(), "e1": 3.0}}, "callable"),
         ({"criterion": "yield", "target": 1.0}, "`target`"),
+        ({"criterion": "robust"}, "`criterion`"),
+        ({"limits": {"load": np.inf}}, "finite limits"),
         ({"statistic": "median"}, "`statistic`"),
         ({"mode": "backward"}, "`mode`"),
     ],
@@ -189,16 +192,16 @@ def test_a_model_that_fits_is_used():
 
 def criterion(kind, limit=3.0):
     bounds = {"e0": (1e-3, 20.0), "e1": (1e-3, 20.0)}
-    request = check_request(PROBLEM, {"load": limit}, Reciprocal(), bounds, None, "auto", 64)
-    return StatisticalCriterion(
-        request, KEY, kind, level=0.9, coverage=3.0, statistic="quantile", distribution=Uniform,
+    observer = Observer(check_allocation(PROBLEM, {"load": limit}, Reciprocal(), bounds))
+    return CorrectedStatistics(
+        observer, KEY, kind, level=0.9, coverage=3.0, statistic="quantile", distribution=Uniform,
         samples=64, verify_samples=64,
     )  # fmt: skip
 
 
 def fresh(h=0.0, low=0.0, fraction=1.0, high=1.0):
     h, low = np.array([h]), np.array([low])
-    return Verified(h, low, h, fraction, (0.0, high), 0, ())
+    return Verified(h, low, h, fraction, (0.0, high), 0, "")
 
 
 @pytest.mark.slow
@@ -232,14 +235,14 @@ def test_a_fresh_run_passes_unless_it_violates_a_limit_beyond_its_interval():
 @pytest.mark.slow
 def test_an_answer_that_fresh_runs_refuse_is_not_verified(monkeypatch):
     # A problem that is worse for fresh samples than for those that found the answer.
-    original, runs = StatisticalCriterion.verify, []
+    original, runs = CorrectedStatistics.verify, []
 
     def verify(self, t, key):
         runs.append(t)
         return original(self, 1.5 * t, key)
 
-    monkeypatch.setattr(StatisticalCriterion, "verify", verify)
-    monkeypatch.setattr(StatisticalCriterion, "learn", lambda self, t, fresh: None)
+    monkeypatch.setattr(CorrectedStatistics, "verify", verify)
+    monkeypatch.setattr(CorrectedStatistics, "learn", lambda self, t, fresh: None)
     result = allocate(
         PROBLEM, {"load": 3.0}, Reciprocal(), {"e0": (1e-3, 20.0)}, "rss", key=KEY, samples=64,
         verify_samples=512, rounds=4,
@@ -257,9 +260,9 @@ def test_failed_samples_raise_the_quantile_that_the_others_must_hold():
 
     problem = FunctionProblem(function, ("e0",), ("load",))
     bounds = {"e0": (0.1, 10.0)}
-    request = check_request(problem, {"load": 2.0}, Reciprocal(), bounds, None, "auto", 64)
-    study = StatisticalCriterion(
-        request, KEY, "yield", level=0.9, coverage=3.0, statistic="quantile", distribution=Uniform,
+    observer = Observer(check_allocation(problem, {"load": 2.0}, Reciprocal(), bounds))
+    study = CorrectedStatistics(
+        observer, KEY, "yield", level=0.9, coverage=3.0, statistic="quantile", distribution=Uniform,
         samples=512, verify_samples=64,
     )  # fmt: skip
     h = study.observe(np.array([1.0]), KEY)

@@ -7,12 +7,12 @@ import pytest
 from scipy import stats
 
 from rfem_jax.description.basics.errors import InputError
-from rfem_jax.tolerancing.allocation.cost_models import Reciprocal
-from rfem_jax.tolerancing.allocation.request import check_request
 from rfem_jax.tolerancing.problems.distributions import Normal, Triangular, TruncatedNormal, Uniform
 from rfem_jax.tolerancing.problems.joint_distributions import CorrelatedNormal
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric
+from rfem_jax.tolerancing.robust_design.cost_models import Reciprocal
+from rfem_jax.tolerancing.robust_design.request import check_allocation
 from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
 from rfem_jax.tolerancing.sensitivities import sensitivity
 from rfem_jax.tolerancing.worst_cases import worst_case
@@ -83,9 +83,9 @@ def test_points_half_widths_and_bounds_may_be_strings_with_a_unit():
     worst = worst_case(problem, {"b": "2 mm"}, "y", key=jax.random.key(0), at={"a": "0.1 rad"})
     assert worst.value == pytest.approx(0.012)
     bounds = {"a": ("0.1 deg", "1 deg"), "b": (1e-4, "1 mm")}
-    request = check_request(problem, {"y": 1.0}, Reciprocal(), bounds, None, "auto", 64)
-    np.testing.assert_allclose(request.lower, [np.radians(0.1), 1e-4], rtol=1e-15)
-    np.testing.assert_allclose(request.upper, [np.radians(1.0), 1e-3], rtol=1e-15)
+    found = check_allocation(problem, {"y": 1.0}, Reciprocal(), bounds).variables
+    np.testing.assert_allclose(found.width_lower, [np.radians(0.1), 1e-4], rtol=1e-15)
+    np.testing.assert_allclose(found.width_upper, [np.radians(1.0), 1e-3], rtol=1e-15)
     for wrong in ({"a": "0.1 mm"}, {"b": "0.1"}):
         with pytest.raises(InputError, match="of `scale` must"):
             sensitivity(problem, scale=wrong)

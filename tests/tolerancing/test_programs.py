@@ -12,8 +12,6 @@ import numpy as np
 import pytest
 
 from rfem_jax.description.basics.errors import InputError
-from rfem_jax.tolerancing.allocation.allocation_study import allocate
-from rfem_jax.tolerancing.allocation.cost_models import Reciprocal
 from rfem_jax.tolerancing.optimisation.projected_gradient import climb, climb_together, project_ball
 from rfem_jax.tolerancing.optimisation.starting_points import projection
 from rfem_jax.tolerancing.problems.distributions import Uniform
@@ -23,6 +21,8 @@ from rfem_jax.tolerancing.problems.metrics import metric
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import FunctionProblem
 from rfem_jax.tolerancing.problems.quadratic_model import expand, expand_by_differences
+from rfem_jax.tolerancing.robust_design.allocation import allocate
+from rfem_jax.tolerancing.robust_design.cost_models import Reciprocal
 from rfem_jax.tolerancing.worst_cases import worst_case
 
 jax.config.update("jax_enable_x64", True)

@@ -7,32 +7,13 @@ Symbols: bounds and `at` in m and rad (`error_catalogue`), or strings with a uni
 metric's own unit.
 """
 
-from collections.abc import Collection
 from dataclasses import MISSING, Field, dataclass, field, fields
-from typing import Any, ClassVar
+from typing import Any
 
 from rfem_jax.description.basics.errors import Checks, InputError, require_choice
-from rfem_jax.description.basics.tables import keys_of
 from rfem_jax.description.basics.units import positive_quantity
-from rfem_jax.description.tasks.costs import (
-    ErrorCost,
-    complete_costs,
-    half_width_bounds,
-    read_with_costs,
-    zones_of_bounds,
-)
-from rfem_jax.description.tasks.settings import (
-    MODES,
-    STARTS,
-    convert_all,
-    fraction,
-    limits_of,
-    set_fields,
-    starts_of,
-    whole_number,
-)
-from rfem_jax.description.tasks.task import Task
-from rfem_jax.description.tolerances.tolerances import SpecifiedTolerances
+from rfem_jax.description.tasks.costs import ErrorCost, FoundTolerancesTask
+from rfem_jax.description.tasks.settings import STARTS, convert_all, starts_of, whole_number
 from rfem_jax.description.tolerances.zones import SpecifiedZone
 
 # Settings that count for some criteria only.
@@ -48,7 +29,7 @@ _CRITERIA_OF = {
 
 
 @dataclass(frozen=True)
-class AllocationTask(Task):
+class AllocationTask(FoundTolerancesTask):
     """The cheapest tolerances that keep limits.
 
     Args:
@@ -74,8 +55,6 @@ class AllocationTask(Task):
     Raises: InputError for settings that are out of range or do not fit each other.
     """
 
-    needs_tolerances: ClassVar[bool] = False
-
     limits: dict[str, tuple[float, float]]
     bounds: dict[str, tuple[float, float]]
     costs: dict[str, ErrorCost]
@@ -97,24 +76,15 @@ class AllocationTask(Task):
 
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("criterion", require_choice, ("worst_case", "rss", "yield"), "criterion")
+        self._check_search(checks, needed=True)
         checks.convert("statistic", require_choice, ("quantile", "mean"), "statistic")
-        known = ("uniform", "triangular", "normal", "truncated_normal")
-        checks.convert("distribution", require_choice, known, "distribution")
-        checks.convert("mode", require_choice, MODES, "mode")
         convert_all(checks, ("verify_samples", "rounds", "batch", "samples"), whole_number, 1)
-        convert_all(checks, ("seed",), whole_number, 0)
         checks.convert("scales", _scales)
-        checks.convert("limits", limits_of, True)
-        checks.convert("bounds", half_width_bounds)
-        convert_all(checks, ("target",), fraction)
-        checks.convert("coverage", positive_quantity, "none", "coverage")
         checks.convert("accuracy", positive_quantity, "none", "accuracy")
         checks.convert("starts", starts_of)
         given = {one.name for one in fields(self) if getattr(self, one.name) != _default(one)}
         for name in sorted(given & {*_CRITERIA_OF}):
             checks.relation(("criterion", name), self._require_criterion, name)
-        checks.relation(("bounds", "costs"), self._complete_costs)
-        checks.relation(("bounds", "zones"), self._complete_zones)
 
     def _require_criterion(self, name: str) -> None:
         """See that a setting counts for the criterion."""
@@ -125,24 +95,6 @@ class AllocationTask(Task):
                 f'Argument `{name}` must be left out with the criterion "{self.criterion}", '
                 f"but is given; remove it, or take the criterion {others}."
             )
-
-    def _complete_costs(self) -> None:
-        set_fields(self, costs=complete_costs(self.bounds, self.costs))
-
-    def _complete_zones(self) -> None:
-        set_fields(self, zones=zones_of_bounds(self.bounds, self.zones))
-
-    @classmethod
-    def tables(cls, header: str) -> list[tuple[str, type, Collection[str], Collection[str]]]:
-        """As `Task.tables`, with that of the costs."""
-        required, optional = keys_of(cls, omit=("costs", "zones"))
-        return [(header, cls, required, ("cost", *optional)), ("[allocation.cost]", ErrorCost, *keys_of(ErrorCost))]
-
-    @classmethod
-    def read(cls, table: object, place: str, tolerances: SpecifiedTolerances | None) -> "AllocationTask":
-        """As `Task.read`; the tolerances serve as scales of the costs."""
-        (_, _, *keys), _ = cls.tables(place)
-        return read_with_costs(cls, (keys[0], keys[1]), table, place, tolerances)
 
     @property
     def metrics(self) -> tuple[str, ...]:

@@ -8,9 +8,9 @@ be given once for all of them.
 Symbols: bounds and `at` in m and rad, or strings with a unit.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 from rfem_jax.description.basics.errors import (
     ABSENT,
@@ -24,6 +24,8 @@ from rfem_jax.description.basics.errors import (
 )
 from rfem_jax.description.basics.tables import build, checked_table, keys_of
 from rfem_jax.description.basics.units import DERIVED, positive_quantity, quantity
+from rfem_jax.description.tasks.settings import MODES, convert_all, fraction, limits_of, set_fields, whole_number
+from rfem_jax.description.tasks.task import Task
 from rfem_jax.description.tolerances.error_catalogue import (
     JOINT_ERRORS,
     LINK_ERRORS,
@@ -61,40 +63,83 @@ class ErrorCost(ChecksItself):
         checks.convert("fixed", quantity, "none", "`fixed` of a cost")
 
 
-def complete_costs(bounds: Mapping[str, tuple[float, float]], costs: Mapping[str, ErrorCost]) -> dict[str, ErrorCost]:
-    """The costs of all errors with bounds, whose scale is the largest bound where none is given.
+class FoundTolerancesTask(Task):
+    """A task that finds tolerances between bounds, at their cost, so that limits hold: what these have in common."""
 
-    Raises: InputError for an error with bounds and without a cost.
-    """
-    missing = [name for name in bounds if name not in costs]
-    if missing:
-        raise InputError(
-            f"Argument `costs` must have a cost for every error with bounds, but that of `{missing[0]}` is missing; "
-            "add it."
-        )
-    given = {name: costs[name] for name in bounds}
-    return dict(costs) | {name: replace(one, at=bounds[name][1]) for name, one in given.items() if one.at is None}
+    needs_tolerances: ClassVar[bool] = False
 
+    limits: dict[str, tuple[float, float]]
+    bounds: dict[str, tuple[float, float]]
+    costs: dict[str, ErrorCost]
+    zones: tuple[SpecifiedZone, ...]
 
-def read_with_costs(
-    cls: type,
-    keys: tuple[Collection[str], Collection[str]],
-    table: object,
-    place: str,
-    tolerances: SpecifiedTolerances | None,
-) -> Any:
-    """The task of class `cls` from its `table` with `keys` (required, optional), whose table `cost` becomes its
-    `costs`; the tolerances of the study serve as their scales. Raises: InputError."""
-    problems = Problems()
-    settings = checked_table(table, place, *keys, problems)
-    bounds, cost = settings.get("bounds", {}), settings.pop("cost", {})
-    if not isinstance(bounds, dict) or not bounds:  # then any error may have a cost
-        bounds = {name: None for name in cost if "." in name} if isinstance(cost, dict) else {}
-    widths = {} if tolerances is None else tolerances.sizes()
-    if tolerances is not None and isinstance(bounds, dict):
-        settings["zones"] = tuple(zone for zone in tolerances.zones if zone.name in bounds)
-    costs = problems.attempt(_read_costs, f"{place.removesuffix(']')}.cost]", cost, bounds, widths)
-    return build(cls, {"costs": costs, **settings}, place, problems)
+    def _check_search(self, checks: Checks, needed: bool) -> None:
+        """Check the settings that such tasks share; `needed`, whether there must be limits and bounds."""
+        known = ("uniform", "triangular", "normal", "truncated_normal")
+        checks.convert("distribution", require_choice, known, "distribution")
+        checks.convert("mode", require_choice, MODES, "mode")
+        convert_all(checks, ("seed",), whole_number, 0)
+        convert_all(checks, ("target",), fraction)
+        checks.convert("coverage", positive_quantity, "none", "coverage")
+        checks.convert("limits", limits_of, needed)
+        if needed or self.bounds:
+            checks.convert("bounds", half_width_bounds)
+        checks.relation(("bounds", "costs"), self._complete_costs)
+        checks.relation(("bounds", "zones"), self._complete_zones)
+
+    def _complete_costs(self) -> None:
+        """Give all errors with bounds a cost, whose scale is the largest bound where none is given."""
+        missing = [name for name in self.bounds if name not in self.costs]
+        if missing:
+            raise InputError(
+                f"Argument `costs` must have a cost for every error with bounds, but that of `{missing[0]}` is missing; "
+                "add it."
+            )
+        unscaled = {name: self.costs[name] for name in self.bounds if self.costs[name].at is None}
+        scaled = {name: replace(one, at=self.bounds[name][1]) for name, one in unscaled.items()}
+        set_fields(self, costs=self.costs | scaled)
+
+    def _complete_zones(self) -> None:
+        """Take the zones among the bounds, with the shapes that [tolerances] gives them; others are discs (position,
+        coaxiality). Raises: InputError for zones that need a length."""
+        known, problems = {zone.name: zone for zone in self.zones}, Problems()
+        found = []
+        for name, (_, largest) in self.bounds.items():
+            if not is_zone(name):
+                continue
+            with problems.noted():
+                if name not in known and str(name).rpartition(".")[2] in OF_DIRECTION:
+                    raise InputError(
+                        f"Argument `bounds` must name zones whose length is known, but `{name}` is not in "
+                        f'[tolerances]; add "{name}" = {{ diameter = "0.1 mm", length = "20 mm" }} there.'
+                    )
+                found.append(known.get(name) or SpecifiedZone(name, largest))
+        problems.refuse()
+        set_fields(self, zones=tuple(found))
+
+    @classmethod
+    def tables(cls, header: str) -> list[tuple[str, type, Collection[str], Collection[str]]]:
+        """As `Task.tables`, with that of the costs."""
+        required, optional = keys_of(cls, omit=("costs", "zones"))
+        return [
+            (header, cls, required, ("cost", *optional)),
+            (f"{header.removesuffix(']')}.cost]", ErrorCost, *keys_of(ErrorCost)),
+        ]
+
+    @classmethod
+    def read(cls, table: object, place: str, tolerances: SpecifiedTolerances | None) -> Any:
+        """As `Task.read`; the table `cost` becomes its `costs`, whose scales are the tolerances of the study."""
+        (_, _, *keys), (of_costs, *_) = cls.tables(place)
+        problems = Problems()
+        settings = checked_table(table, place, *keys, problems)
+        bounds, cost = settings.get("bounds", {}), settings.pop("cost", {})
+        if not isinstance(bounds, dict) or not bounds:  # then any error may have a cost
+            bounds = {name: None for name in cost if "." in name} if isinstance(cost, dict) else {}
+        widths = {} if tolerances is None else tolerances.sizes()
+        if tolerances is not None and isinstance(bounds, dict):
+            settings["zones"] = tuple(zone for zone in tolerances.zones if zone.name in bounds)
+        costs = problems.attempt(_read_costs, of_costs, cost, bounds, widths)
+        return build(cls, {"costs": costs, **settings}, place, problems)
 
 
 def size_dimension(name: object) -> str:
@@ -114,29 +159,6 @@ def size_dimension(name: object) -> str:
             f"Argument `bounds` must name errors, zones of drawings or parameters, but `{name}` is none of these; "
             f"{told}"
         ) from None
-
-
-def zones_of_bounds(
-    bounds: Mapping[str, tuple[float, float]], zones: Sequence[SpecifiedZone]
-) -> tuple[SpecifiedZone, ...]:
-    """The zones among bounds, with the shapes that [tolerances] gives them; others are discs (position, coaxiality).
-
-    Raises: InputError for zones that need a length.
-    """
-    known, problems = {zone.name: zone for zone in zones}, Problems()
-    found = []
-    for name, (_, largest) in bounds.items():
-        if not is_zone(name):
-            continue
-        with problems.noted():
-            if name not in known and str(name).rpartition(".")[2] in OF_DIRECTION:
-                raise InputError(
-                    f"Argument `bounds` must name zones whose length is known, but `{name}` is not in [tolerances]; "
-                    f'add "{name}" = {{ diameter = "0.1 mm", length = "20 mm" }} there.'
-                )
-            found.append(known.get(name) or SpecifiedZone(name, largest))
-    problems.refuse()
-    return tuple(found)
 
 
 def half_width_bounds(bounds: object) -> dict[str, tuple[float, float]]:

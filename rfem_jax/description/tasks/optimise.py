@@ -6,35 +6,16 @@ bounds, tolerances those of [tolerances]; [optimise.bounds] and [optimise.cost] 
 Symbols: bounds in m, rad or the parameter's unit, or strings with a unit; limits in the metric's own unit.
 """
 
-from collections.abc import Collection
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any
 
 from rfem_jax.description.basics.errors import Checks, InputError, require_choice
-from rfem_jax.description.basics.tables import keys_of
-from rfem_jax.description.basics.units import non_negative_quantity, positive_quantity
+from rfem_jax.description.basics.units import non_negative_quantity
 from rfem_jax.description.mechanism.mechanism import Mechanism
 from rfem_jax.description.metrics.subjects import require_metric, subjects_of
-from rfem_jax.description.tasks.costs import (
-    ErrorCost,
-    complete_costs,
-    half_width_bounds,
-    read_with_costs,
-    zones_of_bounds,
-)
-from rfem_jax.description.tasks.settings import (
-    MODES,
-    MOST_AT_ONCE,
-    MOST_SAMPLES,
-    convert_all,
-    fraction,
-    limits_of,
-    metric_names,
-    set_fields,
-    whole_number,
-)
+from rfem_jax.description.tasks.costs import ErrorCost, FoundTolerancesTask
+from rfem_jax.description.tasks.settings import MOST_AT_ONCE, MOST_SAMPLES, convert_all, metric_names, whole_number
 from rfem_jax.description.tasks.task import Task
-from rfem_jax.description.tolerances.tolerances import SpecifiedTolerances
 from rfem_jax.description.tolerances.zones import SpecifiedZone
 
 COST = "cost"
@@ -42,7 +23,7 @@ ROBUST = ("nominal", "worst_case", "rss", "yield")
 
 
 @dataclass(frozen=True)
-class OptimiseTask(Task):
+class OptimiseTask(FoundTolerancesTask):
     """The best dimensions and tolerances that keep limits.
 
     Args:
@@ -70,8 +51,6 @@ class OptimiseTask(Task):
     Raises: InputError for settings that are out of range or do not fit each other.
     """
 
-    needs_tolerances: ClassVar[bool] = False
-
     objective: dict[str, float]
     limits: dict[str, tuple[float, float]] = field(default_factory=dict)
     bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
@@ -94,28 +73,12 @@ class OptimiseTask(Task):
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("objective", _objective)
         checks.convert("robust", require_choice, ROBUST, "robust")
-        known = ("uniform", "triangular", "normal", "truncated_normal")
-        checks.convert("distribution", require_choice, known, "distribution")
-        checks.convert("mode", require_choice, MODES, "mode")
+        self._check_search(checks, needed=False)
         convert_all(checks, ("samples", "verify_samples"), whole_number, 2, MOST_SAMPLES)
         convert_all(checks, ("starts", "searches", "steps", "batch"), whole_number, 1, MOST_AT_ONCE)
-        convert_all(checks, ("seed",), whole_number, 0)
-        convert_all(checks, ("target",), fraction)
-        checks.convert("coverage", positive_quantity, "none", "coverage")
-        checks.convert("limits", limits_of)
         checks.convert("front", _front)
-        if self.bounds:
-            checks.convert("bounds", half_width_bounds)
-        checks.relation(("bounds", "costs"), self._complete_costs)
-        checks.relation(("bounds", "zones"), self._complete_zones)
         checks.relation(("objective", "bounds"), self._check_cost)
         checks.relation(("objective", "front"), self._check_front)
-
-    def _complete_costs(self) -> None:
-        set_fields(self, costs=complete_costs(self.bounds, self.costs))
-
-    def _complete_zones(self) -> None:
-        set_fields(self, zones=zones_of_bounds(self.bounds, self.zones))
 
     def _check_cost(self) -> None:
         if COST in self.objective and not self.bounds:
@@ -130,18 +93,6 @@ class OptimiseTask(Task):
                 f"Argument `front` must be left out unless the objective has two terms, but it has "
                 f"{len(self.objective)}; write objective = {{ mass = 1, cost = 1 }}, for example."
             )
-
-    @classmethod
-    def tables(cls, header: str) -> list[tuple[str, type, Collection[str], Collection[str]]]:
-        """As `Task.tables`, with that of the costs."""
-        required, optional = keys_of(cls, omit=("costs", "zones"))
-        return [(header, cls, required, ("cost", *optional)), ("[optimise.cost]", ErrorCost, *keys_of(ErrorCost))]
-
-    @classmethod
-    def read(cls, table: object, place: str, tolerances: SpecifiedTolerances | None) -> "OptimiseTask":
-        """As `Task.read`; the tolerances serve as scales of the costs."""
-        (_, _, *keys), _ = cls.tables(place)
-        return read_with_costs(cls, (keys[0], keys[1]), table, place, tolerances)
 
     def resolved(self, mechanism: Mechanism, name: str) -> "Task":
         """As `Task.resolved`; metrics of the objective must be there, too."""

@@ -5,7 +5,8 @@
     catalogue       the class of every kind; a task of a study is done
     study_problem   the study's mechanism as a problem of the tolerance studies
     task_files      what their JSON files have in common
-    sensitivity, monte_carlo, worst_case, allocation, sweep, reliability, optimise
+    solution_report what allocation and optimise have in common
+    sensitivity, monte_carlo, worst_case, allocation, optimise, sweep, reliability
 
 Place in the pipeline: `report.commands` does the tasks that a study declares; `rfem_jax.task_kinds` lists the kinds.
 """

@@ -5,39 +5,32 @@ Pictures show tolerances in deg and mm, metrics in their own units.
 """
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rfem_jax.compilation.stages import on_stage
-from rfem_jax.description.parameters.deviations import deviation_unit
 from rfem_jax.description.study_file.study import Study
-from rfem_jax.description.tasks.allocation import AllocationTask, ErrorCost
+from rfem_jax.description.tasks.allocation import AllocationTask
 from rfem_jax.description.tolerances.error_catalogue import as_specified
-from rfem_jax.report.annotations import Axes, Figure
+from rfem_jax.report.annotations import Figure
 from rfem_jax.report.output import write_csv
-from rfem_jax.report.overview import format_error
 from rfem_jax.report.quantities import column_name
 from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles, new_figure
 from rfem_jax.report.tasks import study_problem
+from rfem_jax.report.tasks.solution_report import SolutionReport
 from rfem_jax.report.tasks.task_files import write_task_json
-from rfem_jax.report.tasks.task_report import TaskReport
 from rfem_jax.text_layout import align_columns
-from rfem_jax.tolerancing.allocation.allocation_study import Allocation, LimitCheck, allocate
-from rfem_jax.tolerancing.allocation.cost_models import Exponential, Reciprocal, ReciprocalSquared, total_cost
-from rfem_jax.tolerancing.allocation.request import read_bounds
 from rfem_jax.tolerancing.problems.distributions import DISTRIBUTIONS
-from rfem_jax.tolerancing.problems.linearisation import choose_mode
-from rfem_jax.tolerancing.problems.quadratic_model import expand_by_differences
-
-CostModel = Reciprocal | ReciprocalSquared | Exponential
-Limits = dict[str, tuple[float | None, float | None]]
+from rfem_jax.tolerancing.robust_design.allocation import allocate
+from rfem_jax.tolerancing.robust_design.cost_models import total_cost
+from rfem_jax.tolerancing.robust_design.request import check_allocation
+from rfem_jax.tolerancing.robust_design.result import Allocation, LimitCheck
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,14 +45,13 @@ class AllocationStudy:
     cost_before: float
 
 
-class AllocationReport(TaskReport[AllocationTask, AllocationStudy]):
+class AllocationReport(SolutionReport[AllocationTask, AllocationStudy]):
     """The cheapest tolerances that keep limits on loads."""
 
     def run(self, folder: Path) -> AllocationStudy:
         """The cheapest tolerances, and those of the task's scaled limits."""
-        task = self.task
+        task, limits, costs = self.task, self.task.limits, self.costs
         problem = study_problem.build_problem(self.study, task.metrics)
-        costs = {name: build_cost(cost) for name, cost in task.costs.items()}
         keys = jax.random.split(jax.random.key(task.seed), 1 + len(task.scales))
         solve = partial(
             allocate, problem, cost=costs, bounds=task.bounds, criterion=task.criterion,
@@ -69,25 +61,22 @@ class AllocationReport(TaskReport[AllocationTask, AllocationStudy]):
             tolerance=task.accuracy, batch=task.batch, zones=task.zones,
         )  # fmt: skip
         on_stage("Expanding to second order")
-        together = task.criterion != "worst_case"
-        sizes, lower, upper = read_bounds(problem, task.bounds, task.zones)
-        mode = choose_mode(task.mode, len(sizes.errors), len(problem.metrics) if together else 1, problem)
-        typical = dict(zip(sizes.errors, map(float, sizes.reaches(np.sqrt(lower * upper))), strict=True))
-        model = expand_by_differences(problem, None, typical, mode=mode, batch=task.batch)
-        solve = partial(solve, model=model, mode=mode)
+        request = check_allocation(
+            problem, limits, costs, task.bounds, mode=task.mode, batch=task.batch, zones=task.zones,
+            together=task.criterion != "worst_case",
+        )  # fmt: skip
+        solve = partial(solve, model=request.model, mode=request.mode)
         on_stage(f"Allocating {len(task.bounds)} tolerances")
-        limits = {name: tuple(map(_closed, pair)) for name, pair in task.limits.items()}
         answer = solve(limits, key=keys[0])
         front = {1.0: answer}
         for scale, key in zip(task.scales, keys[1:], strict=True):
             if scale not in front:
                 on_stage(f"Allocating with limits scaled by {scale:g}")
                 front[scale] = solve(scaled_limits(answer.limits, scale), key=key)
-        before, cost = _before(self.study, costs)
+        before, cost = {name: self.before[name] for name in costs if name in self.before}, math.nan
+        if len(before) == len(costs):
+            cost = float(total_cost(tuple(costs.values()), jnp.asarray([before[name] for name in costs])))
         return AllocationStudy(answer, dict(sorted(front.items())), before, cost)
-
-    def succeeded(self, result: AllocationStudy) -> bool:
-        return result.answer.status == "ok"
 
     def text(self, result: AllocationStudy) -> str:
         return allocation_text(result)
@@ -97,22 +86,14 @@ class AllocationReport(TaskReport[AllocationTask, AllocationStudy]):
         allocation_front.csv (cost, limits and tolerances of each); costs are in the currency of the study."""
         answer = result.answer
         content = {
-            **_allocation(answer),
+            **answer.entries(),
             "before": {"tolerances": result.before, "cost": result.cost_before},
-            "front": [{"scale": scale, **_allocation(one)} for scale, one in result.front.items()],
+            "front": [{"scale": scale, **one.entries()} for scale, one in result.front.items()],
             "units": {**answer.units, **{check.metric: check.unit for check in answer.limits}},
         }
+        names = {"name": "error", "lowest": "smallest", "highest": "largest"}
         rows = [
-            {
-                "error": name,
-                "unit": answer.units[name],
-                "before": result.before.get(name, float("nan")),
-                "after": after,
-                "smallest": self.task.bounds[name][0],
-                "largest": self.task.bounds[name][1],
-                "at_bound": answer.at_bounds.get(name, ""),
-            }
-            for name, after in answer.tolerances.items()
+            {names.get(key, key): value for key, value in row.items() if key != "kind"} for row in self.rows(answer)
         ]
         written = [
             write_task_json(folder / "allocation.json", self.study, self.name, content),
@@ -143,75 +124,28 @@ class AllocationReport(TaskReport[AllocationTask, AllocationStudy]):
         return [*told, f"{each}{number} with derivatives in every round, {task.verify_samples} in every verification"]
 
     def draw(self, result: AllocationStudy) -> dict[str, Figure]:
-        figures = {"tolerances": tolerances_figure(self.study, self.task.bounds, result)}
+        answer, before = result.answer, ""
+        if np.isfinite(result.cost_before):
+            before = f", before {result.cost_before:.4g}"
+        heading = f"Tolerances before and after: cost {answer.cost:.4g}{before}"
+        heading += f" ({answer.criterion.replace('_', ' ')}, {answer.status})"
+        figures = {"tolerances": self.bounds_figure(self.rows(answer), heading, logarithmic=True)}
         if len(result.front) > 1:
             figures["front"] = front_figure(self.study, result)
         return figures
 
-    def setting_text(self, name: str, value: Any) -> str:
-        """Bounds and costs too in deg and mm."""
-        unit = partial(deviation_unit, self.study.mechanism)
-        if name == "bounds":
-            return ", ".join(_bound(error, pair, unit(error)) for error, pair in value.items())
-        if name == "costs":
-            return ", ".join(_cost(error, cost, unit(error)) for error, cost in value.items())
-        return super().setting_text(name, value)
 
-
-def _bound(name: str, pair: tuple[float, float], unit: str) -> str:
-    low, high = (format_error("", end, unit).removeprefix(" = ") for end in pair)
-    return f"{name} {low} to {high}"
-
-
-def _cost(name: str, cost: ErrorCost, unit: str) -> str:
-    at = format_error("", cost.at, unit).removeprefix(" = ")
-    fixed = f" + {cost.fixed:g}" if cost.fixed else ""
-    return f"{name} {cost.model.replace('_', ' ')}, {cost.price:g} at {at}{fixed}"
-
-
-def build_cost(cost: ErrorCost) -> CostModel:
-    """Callable of one half-width [rad or m] for an `ErrorCost`."""
-    if cost.model == "reciprocal":
-        return Reciprocal(cost.price * cost.at, cost.fixed)
-    if cost.model == "reciprocal_squared":
-        return ReciprocalSquared(cost.price * cost.at**2, cost.fixed)
-    return Exponential(cost.price, 1.0 / cost.at, cost.fixed)
-
-
-def scaled_limits(checks: Iterable[LimitCheck], scale: float) -> Limits:
+def scaled_limits(checks: Iterable[LimitCheck], scale: float) -> dict[str, tuple[float, float]]:
     """Limits {metric: (low, high)} with their distances from the nominal values times `scale`.
 
     Arguments: checks, the `LimitCheck`s of an allocation with the limits as specified.
     """
-    limits: Limits = {}
+    limits: dict[str, tuple[float, float]] = {}
     for check in checks:
-        low, high = limits.get(check.metric, (None, None))
+        low, high = limits.get(check.metric, (-math.inf, math.inf))
         moved = check.nominal + scale * (check.limit - check.nominal)
         limits[check.metric] = (low, moved) if check.side == "upper" else (moved, high)
     return limits
-
-
-def _closed(end: float) -> float | None:
-    """An end of a limit, None where it is open."""
-    return end if math.isfinite(end) else None
-
-
-def _before(study: Study, costs: Mapping[str, CostModel]) -> tuple[dict[str, float], float]:
-    """The study's own tolerances of the errors allocated, and their cost if it has all of them."""
-    specified = study.tasks.tolerances
-    widths = {} if specified is None else specified.sizes()
-    before = {name: widths[name] for name in costs if name in widths}
-    if len(before) < len(costs):
-        return before, math.nan
-    models = tuple(costs[name] for name in before)
-    return before, float(total_cost(models, jnp.asarray(list(before.values()))))
-
-
-def _allocation(one: Allocation) -> dict[str, Any]:
-    keys = ("criterion", "status", "message", "tolerances", "cost", "at_bounds", "level")
-    keys += ("predicted_yield", "verified_yield", "yield_interval", "verified_by", "history")
-    found = {key: getattr(one, key) for key in (*keys, "failed", "hessian_error")}
-    return found | {"limits": [asdict(check) for check in one.limits]}
 
 
 def allocation_text(found: AllocationStudy) -> str:
@@ -227,49 +161,6 @@ def allocation_text(found: AllocationStudy) -> str:
         header = ["scale of limits", "status", "cost", *(c.metric for c in found.answer.limits)]
         parts.append(f"Cost against limits\n{align_columns(header, rows)}")
     return "\n\n".join(parts)
-
-
-def tolerances_figure(study: Study, bounds: Mapping[str, tuple[float, float]], found: AllocationStudy) -> Figure:
-    """Tolerances before and after within their bounds, each on a scale of its own."""
-    answer = found.answer
-    names = list(answer.tolerances)
-    height = 0.55 * len(names) + 2.0
-    figure = new_figure(7.2, height)
-    axes = figure.subplots()
-    for place, name in enumerate(reversed(names)):
-        specified, factor = as_specified(answer.units[name])
-        low, high = bounds[name]
-        after, before = answer.tolerances[name], found.before.get(name)
-        axes.plot([low / high, 1.0], [place, place], "|-", color="#A0A0A0", linewidth=1.0)
-        if before is not None:
-            _mark(axes, before / high, place, False, f"{factor * before:.3g} {specified}")
-        _mark(axes, after / high, place, True, f"{factor * after:.3g} {specified}")
-    axes.plot([], [], MARKERS[0], color=CASE_COLOURS[0], mfc="white", label="before")
-    axes.plot([], [], MARKERS[1], color=CASE_COLOURS[1], label="after")
-    axes.plot([], [], "|-", color="#A0A0A0", label="bounds")
-    axes.set_xscale("log")
-    axes.set_ylim(-0.6, len(names) - 0.4)
-    axes.set_yticks(range(len(names)), list(reversed(names)))
-    axes.grid(visible=False, axis="y")
-    axes.xaxis.set_major_formatter("{x:g}")
-    axes.set_xlabel("tolerance / its largest bound")
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False)
-    heading = f"Tolerances before and after: cost {answer.cost:.4g}"
-    if np.isfinite(found.cost_before):
-        heading += f", before {found.cost_before:.4g}"
-    add_titles(figure, f"{heading} ({answer.criterion.replace('_', ' ')}, {answer.status})", study)
-    return figure
-
-
-def _mark(axes: Axes, x: float, place: int, after: bool, text: str) -> None:
-    colour, marker = (CASE_COLOURS[1], MARKERS[1]) if after else (CASE_COLOURS[0], MARKERS[0])
-    fill = colour if after else "white"
-    axes.plot([x], [place], marker, color=colour, markerfacecolor=fill, zorder=3)
-    where = (0, 7) if after else (0, -13)
-    axes.annotate(
-        text, (x, place), xytext=where, textcoords="offset points", ha="center", fontsize=8,
-        color=colour,
-    )  # fmt: skip
 
 
 def front_figure(study: Study, found: AllocationStudy) -> Figure:

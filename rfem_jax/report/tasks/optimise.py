@@ -3,35 +3,29 @@
 Place in the pipeline: `rfem_jax.description.tasks.optimise` -> **optimise** -> terminal, files and pictures.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import jax
-import numpy as np
 
 from rfem_jax.compilation.stages import on_stage
 from rfem_jax.description.basics.errors import InputError
-from rfem_jax.description.parameters.deviations import deviation_unit
 from rfem_jax.description.tasks.optimise import OptimiseTask
-from rfem_jax.description.tolerances.error_catalogue import as_specified
-from rfem_jax.report.annotations import Axes, Figure
+from rfem_jax.report.annotations import Figure
 from rfem_jax.report.output import write_csv
 from rfem_jax.report.quantities import column_name
 from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles, new_figure
 from rfem_jax.report.tasks import study_problem
-from rfem_jax.report.tasks.allocation import build_cost
+from rfem_jax.report.tasks.solution_report import SolutionReport
 from rfem_jax.report.tasks.task_files import write_task_json
-from rfem_jax.report.tasks.task_report import TaskReport
 from rfem_jax.text_layout import align_columns
 from rfem_jax.tolerancing.layout import show_number
 from rfem_jax.tolerancing.problems.distributions import DISTRIBUTIONS
 from rfem_jax.tolerancing.robust_design.front import pareto_front
 from rfem_jax.tolerancing.robust_design.optimisation import optimise
 from rfem_jax.tolerancing.robust_design.result import DesignOptimum
-
-GREY = "#A0A0A0"
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,14 +36,14 @@ class Optimised:
     front: dict[float, DesignOptimum]
 
 
-class OptimiseReport(TaskReport[OptimiseTask, Optimised]):
+class OptimiseReport(SolutionReport[OptimiseTask, Optimised]):
     """The best dimensions and tolerances that keep limits."""
 
     def run(self, folder: Path) -> Optimised:
         """The answer, and the Pareto front if it is asked for."""
         task, designs = self.task, self.study.design_bounds
         specified = self.study.tasks.tolerances
-        widths: dict[str, Any] = {} if specified is None else specified.sizes()
+        widths: dict[str, Any] = dict(self.before)
         for zone in () if specified is None else specified.zones:  # one size in the place of its errors
             for error in zone.errors:
                 widths.pop(error, None)
@@ -62,10 +56,9 @@ class OptimiseReport(TaskReport[OptimiseTask, Optimised]):
         problem = study_problem.build_problem(self.study, task.metrics)
         solve = partial(
             optimise, problem, designs, None if task.robust == "nominal" and not task.bounds else widths,
-            limits={name: tuple(None if np.isinf(end) else end for end in pair) for name, pair in task.limits.items()},
-            robust=task.robust, cost={name: build_cost(cost) for name, cost in task.costs.items()} or None,
-            key=jax.random.key(task.seed), target=task.target, coverage=task.coverage,
-            distribution=DISTRIBUTIONS[task.distribution], samples=task.samples, verify_samples=task.verify_samples,
+            limits=task.limits, robust=task.robust, cost=self.costs or None, key=jax.random.key(task.seed),
+            target=task.target, coverage=task.coverage, distribution=DISTRIBUTIONS[task.distribution],
+            samples=task.samples, verify_samples=task.verify_samples,
             starts=task.starts, searches=task.searches, steps=task.steps, mode=task.mode, batch=task.batch,
             zones=[*task.zones, *(() if specified is None else specified.zones)],
             progress=lambda count: on_stage(f"Optimising: {count} simulations"),
@@ -75,9 +68,6 @@ class OptimiseReport(TaskReport[OptimiseTask, Optimised]):
         if task.front:
             front = pareto_front(lambda weights: solve(objective=weights), tuple(task.objective), task.front)
         return Optimised(answer, front)
-
-    def succeeded(self, result: Optimised) -> bool:
-        return result.answer.status == "ok"
 
     def text(self, result: Optimised) -> str:
         return optimum_text(result)
@@ -92,18 +82,18 @@ class OptimiseReport(TaskReport[OptimiseTask, Optimised]):
                 self.study,
                 self.name,
                 {
-                    **asdict(answer),
+                    **answer.entries(),
                     "bounds": {name: list(self.study.design_bounds[name]) for name in answer.designs},
-                    "tolerances_before": {name: self._widths_before().get(name) for name in answer.tolerances},
+                    "tolerances_before": {name: self.before.get(name) for name in answer.tolerances},
                     "tolerance_bounds": {name: list(pair) for name, pair in self.task.bounds.items()},
-                    "front": [{"weight": weight, **asdict(one)} for weight, one in result.front.items()],
+                    "front": [{"weight": weight, **one.entries()} for weight, one in result.front.items()],
                     "units": answer.units | answer.term_units | {check.metric: check.unit for check in answer.limits},
                 },
             ),
-            write_csv(folder / "optimise.csv", self._rows(answer)),
+            write_csv(folder / "optimise.csv", self.rows(answer)),
         ]
         if answer.limits:
-            written.append(write_csv(folder / "optimise_limits.csv", [_limit_row(check) for check in answer.limits]))
+            written.append(write_csv(folder / "optimise_limits.csv", _limit_rows(answer)))
         if result.front:
             rows = [
                 {"weight": weight, "status": one.status, **one.terms}
@@ -114,22 +104,6 @@ class OptimiseReport(TaskReport[OptimiseTask, Optimised]):
             written.append(write_csv(folder / "optimise_front.csv", rows))
         return written
 
-    def _rows(self, answer: DesignOptimum) -> list[dict[str, Any]]:
-        """One row a dimension, then one a tolerance."""
-        bounds, before = self.study.design_bounds, self._widths_before()
-        rows = [
-            _row(name, "dimension", answer, answer.initial[name], value, bounds[name])
-            for name, value in answer.designs.items()
-        ]
-        for name, value in answer.tolerances.items():
-            ends = self.task.bounds.get(name, (value, value))
-            rows.append(_row(name, "tolerance", answer, before.get(name, np.nan), value, ends))
-        return rows
-
-    def _widths_before(self) -> dict[str, float]:
-        specified = self.study.tasks.tolerances
-        return {} if specified is None else specified.sizes()
-
     def simulations(self) -> list[str]:
         task, count = self.task, len(self.study.design_bounds) + len(self.task.bounds)
         points = {"nominal": "1", "worst_case": "the worst points found so far"}.get(task.robust, str(task.samples))
@@ -137,38 +111,13 @@ class OptimiseReport(TaskReport[OptimiseTask, Optimised]):
         return [*told, f"in every step simulations at {points}; a fresh run verifies the answer"]
 
     def draw(self, result: Optimised) -> dict[str, Figure]:
-        figures = {"answer": self._answer_figure(result.answer)}
+        answer, units = result.answer, result.answer.term_units
+        terms = ", ".join(f"{name} {value:.4g} {units[name]}".rstrip() for name, value in answer.terms.items())
+        heading = f"Optimum, {answer.criterion.replace('_', ' ')} ({answer.status}): {terms}"
+        figures = {"answer": self.bounds_figure(self.rows(answer), heading)}
         if result.front:
             figures["front"] = self._front_figure(result)
         return figures
-
-    def _answer_figure(self, answer: DesignOptimum) -> Figure:
-        """Dimensions and tolerances before and after, each between its bounds."""
-        rows = self._rows(answer)
-        figure = new_figure(7.2, 0.55 * len(rows) + 2.0)
-        axes = figure.subplots()
-        for place, row in enumerate(reversed(rows)):
-            low, high = row["lowest"], row["highest"]
-            span = (high - low) or 1.0
-            axes.plot([0.0, 1.0], [place, place], "|-", color=GREY, linewidth=1.0)
-            specified, factor = as_specified(row["unit"])
-            for key, after in (("before", False), ("after", True)):
-                if np.isfinite(row[key]):
-                    share = (row[key] - low) / span if high > low else 0.5
-                    _mark(axes, share, place, after, f"{factor * row[key]:.4g} {specified}".removesuffix(" 1"))
-        axes.plot([], [], MARKERS[0], color=CASE_COLOURS[0], mfc="white", label="before")
-        axes.plot([], [], MARKERS[1], color=CASE_COLOURS[1], label="after")
-        labels = [row["name"] + (" (tolerance)" if row["kind"] == "tolerance" else "") for row in reversed(rows)]
-        axes.set_yticks(range(len(rows)), labels)
-        axes.set_ylim(-0.6, len(rows) - 0.4)
-        axes.set_xlim(-0.15, 1.15)
-        axes.set_xticks([0.0, 1.0], ["lowest", "highest"])
-        axes.grid(visible=False)
-        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
-        units = answer.term_units
-        terms = ", ".join(f"{name} {value:.4g} {units[name]}".rstrip() for name, value in answer.terms.items())
-        add_titles(figure, f"Optimum, {answer.criterion.replace('_', ' ')} ({answer.status}): {terms}", self.study)
-        return figure
 
     def _front_figure(self, result: Optimised) -> Figure:
         """The second term of the objective against the first."""
@@ -192,42 +141,14 @@ class OptimiseReport(TaskReport[OptimiseTask, Optimised]):
         return f"{name}, {unit}" if unit else name
 
     def setting_text(self, name: str, value: Any) -> str:
-        """Bounds in deg and mm."""
-        if name == "bounds":
-            unit = partial(deviation_unit, self.study.mechanism)
-            return ", ".join(f"{error} {_pair_text(pair, unit(error))}" for error, pair in value.items())
+        """The objective as a sum."""
         if name == "objective":
             return " + ".join(f"{weight:g} {term}" for term, weight in value.items())
-        if name == "costs":
-            return ", ".join(f"{error} {cost.model.replace('_', ' ')} {cost.price:g}" for error, cost in value.items())
         return super().setting_text(name, value)
 
 
-def _pair_text(pair: tuple[float, float], unit: str) -> str:
-    specified, factor = as_specified(unit)
-    return f"{factor * pair[0]:.6g} to {factor * pair[1]:.6g} {specified}"
-
-
-def _row(
-    name: str, kind: str, answer: DesignOptimum, before: float, after: float, ends: tuple[float, float]
-) -> dict[str, Any]:
-    label = name if kind == "dimension" or name not in answer.designs else f"tolerance of {name}"
-    bound = answer.at_bounds.get(label, "") if ends[1] > ends[0] else ""
-    row = {"name": name, "kind": kind, "unit": answer.units[name], "before": before, "after": after}
-    return row | {"lowest": ends[0], "highest": ends[1], "at_bound": bound}
-
-
-def _limit_row(check: Any) -> dict[str, Any]:
-    low, high = check.verified_interval
-    row = {name: value for name, value in asdict(check).items() if name != "verified_interval"}
-    return row | {"verified_low": low, "verified_high": high}
-
-
-def _mark(axes: Axes, x: float, place: int, after: bool, text: str) -> None:
-    colour, marker = (CASE_COLOURS[1], MARKERS[1]) if after else (CASE_COLOURS[0], MARKERS[0])
-    axes.plot([x], [place], marker, color=colour, markerfacecolor=colour if after else "white", zorder=3)
-    where = (0, 7) if after else (0, -13)
-    axes.annotate(text, (x, place), xytext=where, textcoords="offset points", ha="center", fontsize=8, color=colour)
+def _limit_rows(answer: DesignOptimum) -> list[dict[str, Any]]:
+    return [row | {"unit": check.unit} for row, check in zip(answer.limit_rows(), answer.limits, strict=True)]
 
 
 def optimum_text(found: Optimised) -> str:

@@ -1,6 +1,6 @@
 """When limits hold: at the perfect mechanism, everywhere within the tolerances, by root sum of squares, at a yield.
 
-Place in the pipeline: variables, observations -> **criteria** -> search.
+Place in the pipeline: observations -> **criteria** -> search.
 
 A criterion has standard points z (n, k), where the problem is observed, and makes constraints g(y) <= 0 of what was
 observed there, with their derivatives.  The first standard point is zero: the perfect mechanism, of which the objective
@@ -22,7 +22,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from rfem_jax.tolerancing.allocation.models import quantile_weights
 from rfem_jax.tolerancing.optimisation.projected_gradient import climb_together
 from rfem_jax.tolerancing.optimisation.sizes import Sizes
 from rfem_jax.tolerancing.optimisation.starting_points import (
@@ -33,34 +32,24 @@ from rfem_jax.tolerancing.optimisation.starting_points import (
     spread_points,
 )
 from rfem_jax.tolerancing.problems.distributions import Tolerance
+from rfem_jax.tolerancing.robust_design.models import quantile_weights
 from rfem_jax.tolerancing.robust_design.observations import Observed, Observer
+from rfem_jax.tolerancing.robust_design.request import Limit
+from rfem_jax.tolerancing.robust_design.verification import (
+    Verified,
+    mean_and_deviations,
+    verify_sample,
+    without_interval,
+)
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
 
+ALL_CORNERS = 8  # errors, of which a fresh run tries all corners of the box
+AGREES = 1e-3  # of a limit: how far a fresh worst case may exceed it
 CORNERS = 4  # of so many errors the corners of the box are among the starts of a search for the worst point
 SEARCH_STEPS = 40
 STATIONARY = 1e-4  # residual of a search for a worst point, whose height is then exact to about its square
 NEW_POINT = 1e-3  # points nearer than this are one
 FAILED = 1e3  # a constraint whose sample failed: far from holding
-
-
-class NormalisedLimit(NamedTuple):
-    """One end of a limit: metric's name, unit and position, sign (1 upper, -1 lower), bound, and scale [unit] by which
-    distances from it are divided."""
-
-    metric: str
-    unit: str
-    position: int
-    sign: float
-    bound: float
-    scale: float
-
-    def normalise(self, values: Float[np.ndarray, "*n m"]) -> Float[np.ndarray, "*n"]:
-        """h from the values of all metrics."""
-        return self.sign * (values[..., self.position] - self.bound) / self.scale
-
-    def restore(self, h: float) -> float:
-        """The metric's value of a normalised h."""
-        return self.bound + self.sign * self.scale * h
 
 
 class Constrained(NamedTuple):
@@ -74,14 +63,16 @@ class Constrained(NamedTuple):
 class Criterion(abc.ABC):
     """See the module's docstring.
 
-    Arguments: observer; limits (l); points (n, k), standard points, the first of which is zero.
+    Arguments: observer; points (n, k), standard points after the first, which is zero. level: fraction of mechanisms
+    that hold all limits (NaN but for a yield).
     """
 
-    def __init__(
-        self, observer: Observer, limits: Sequence[NormalisedLimit], points: Float[np.ndarray, "n k"] | None = None
-    ):
-        self.observer, self.limits = observer, tuple(limits)
-        origin = np.zeros((1, len(observer.variables.errors)))
+    level = np.nan
+
+    def __init__(self, observer: Observer, points: Float[np.ndarray, "n k"] | None = None):
+        self.observer, self.limits = observer, observer.request.limits
+        self.variables = observer.request.variables
+        origin = np.zeros((1, len(self.variables.errors)))
         self.points = origin if points is None else np.concatenate([origin, points])
 
     def observe(self, y: Float[np.ndarray, " p"]) -> Observed:
@@ -91,11 +82,9 @@ class Criterion(abc.ABC):
     def constraints(self, y: Float[np.ndarray, " p"]) -> Constrained:
         """Constraints at y, with derivatives."""
         seen = self.observe(y)
-        back = self.observer.variables.pull_back(y, self.points, seen.jacobian)
-        h = np.stack([limit.normalise(seen.values) for limit in self.limits], axis=1)
-        factors = np.array([limit.sign / limit.scale for limit in self.limits])
-        dh = back[:, [limit.position for limit in self.limits]] * factors[:, None]
-        return self.reduce(h, dh)
+        request = self.observer.request
+        back = self.variables.pull_back(y, self.points, seen.jacobian)
+        return self.reduce(request.normalise(seen.values), request.normalise_slopes(back))
 
     @abc.abstractmethod
     def reduce(self, h: Float[np.ndarray, "n l"], dh: Float[np.ndarray, "n l p"]) -> Constrained:
@@ -105,6 +94,15 @@ class Criterion(abc.ABC):
         """Add standard points that the constraints at y lack; returns whether there were any."""
         del y, key
         return False
+
+    @abc.abstractmethod
+    def verify(self, y: Float[np.ndarray, " p"], key: RandomKey) -> Verified:
+        """A fresh run at y."""
+
+    def shortfall(self, verified: Verified) -> float:
+        """How far a fresh run is beyond its limits, of a yield the fraction that lacks; 0 where it agrees."""
+        beyond = float(np.max(verified.low, initial=0.0))
+        return beyond if beyond > AGREES else 0.0
 
     def tighten(self, shortfall: float) -> None:
         """Aim higher after a fresh run fell short."""
@@ -118,15 +116,18 @@ class NominalCriterion(Criterion):
         """As `Criterion.reduce`."""
         return _constrained(h[0], dh[0], range(len(self.limits)))
 
+    def verify(self, y: Float[np.ndarray, " p"], key: RandomKey) -> Verified:
+        """As `Criterion.verify`."""
+        return verify_nominal(self.observer, y)
+
 
 class WorstCaseCriterion(Criterion):
     """Limits hold everywhere in the box of the tolerances: at all worst points that were found."""
 
-    def __init__(self, observer: Observer, limits: Sequence[NormalisedLimit], key: RandomKey):
-        super().__init__(observer, limits)
+    def __init__(self, observer: Observer):
+        super().__init__(observer)
         self.owner = [*range(len(self.limits))]  # every limit at the centre, until worse points are found
         self.row = [0] * len(self.limits)
-        self.key = key
 
     def reduce(self, h: Float[np.ndarray, "n l"], dh: Float[np.ndarray, "n l p"]) -> Constrained:
         """As `Criterion.reduce`."""
@@ -135,7 +136,7 @@ class WorstCaseCriterion(Criterion):
     def extend(self, y: Float[np.ndarray, " p"], key: RandomKey) -> bool:
         """Add the worst points of the limits at y, where they are worse than those known; returns whether any is."""
         before = [*zip(self.constraints(y).value, self.owner, strict=True)]
-        starts = search_starts(self.observer.variables.sizes, key)
+        starts = search_starts(self.variables.sizes, key)
         added = False
         for number in range(len(self.limits)):
             known = max(g for g, owner in before if owner == number)
@@ -144,6 +145,17 @@ class WorstCaseCriterion(Criterion):
                 if height > max(known, 0.0) + NEW_POINT**2:
                     added = self._add(number, z) or added
         return added
+
+    def verify(self, y: Float[np.ndarray, " p"], key: RandomKey) -> Verified:
+        """As `Criterion.verify`: searches from new starting points, and corners of the box where they are few."""
+        sizes, k = self.variables.sizes, len(self.variables.errors)
+        starts = search_starts(sizes, key)
+        points = np.concatenate([worst_points(self.observer, limit, y, starts)[0][:2] for limit in self.limits])
+        what = "searches for the worst case from new starting points"
+        if k <= ALL_CORNERS and sizes.region == "box":
+            points, what = np.concatenate([points, box_corners(k)]), f"{what} and at all {2**k} corners"
+        values = self.observer.values(self.variables.deviations(y, np.concatenate([np.zeros((1, k)), points])))
+        return without_interval(np.nanmax(self.observer.request.normalise(values), axis=0), values, what)
 
     def _add(self, number: int, z: Float[np.ndarray, " k"]) -> bool:
         """Let a limit hold at a point, which may be that of another limit; returns whether it did not before."""
@@ -162,13 +174,12 @@ class SampleCriterion(Criterion):
     """Limits hold for a fixed sample of a distribution: by root sum of squares, or at a yield.
 
     Arguments: kind "rss" or "yield"; level, of a yield; coverage, deviations of "rss"; distribution, a callable
-    half-width -> Tolerance; samples, number of standard points.
+    half-width -> Tolerance; samples, number of standard points; verify_samples of a fresh run.
     """
 
     def __init__(
         self,
         observer: Observer,
-        limits: Sequence[NormalisedLimit],
         key: RandomKey,
         *,
         kind: str,
@@ -176,10 +187,12 @@ class SampleCriterion(Criterion):
         coverage: float,
         distribution: Callable[[float], Tolerance],
         samples: int,
+        verify_samples: int,
     ):
-        units = sobol_units(len(observer.variables.errors), samples, key)
-        super().__init__(observer, limits, observer.variables.sizes.standard(distribution(1.0), units))
-        self.kind, self.aim, self.coverage = kind, level, coverage
+        sizes = observer.request.variables.sizes
+        self.distribution, self.verify_samples = distribution(1.0), verify_samples
+        super().__init__(observer, sizes.standard(self.distribution, sobol_units(len(sizes.errors), samples, key)))
+        self.kind, self.level, self.aim, self.coverage = kind, level, level, coverage
         self.extra = 0.0
 
     def reduce(self, h: Float[np.ndarray, "n l"], dh: Float[np.ndarray, "n l p"]) -> Constrained:
@@ -206,12 +219,33 @@ class SampleCriterion(Criterion):
             np.array([weights @ h[rows, worst][order]]), (weights @ dh[rows, worst][order])[None], (-1,)
         )
 
+    def verify(self, y: Float[np.ndarray, " p"], key: RandomKey) -> Verified:
+        """As `Criterion.verify`: an independent Monte Carlo run."""
+        return verify_sample(
+            self.observer, lambda z: self.variables.deviations(y, z), key, self.distribution, self.verify_samples,
+            mean_and_deviations(self.coverage),
+        )  # fmt: skip
+
+    def shortfall(self, verified: Verified) -> float:
+        """As `Criterion.shortfall`."""
+        if self.kind == "rss":
+            return super().shortfall(verified)
+        return self.level - verified.fraction if verified.interval[1] < self.level else 0.0
+
     def tighten(self, shortfall: float) -> None:
         """Aim higher after a fresh run fell short: of a yield by the fraction, of "rss" by the normalised limit."""
         if self.kind == "rss":
             self.extra += shortfall
         else:
             self.aim += min(shortfall, 0.5 * (1.0 - self.aim))
+
+
+def verify_nominal(observer: Observer, y: Float[np.ndarray, " p"]) -> Verified:
+    """A run of the perfect mechanism."""
+    request = observer.request
+    values = observer.values(request.variables.deviations(y, np.zeros((1, len(request.variables.errors)))))
+    h = np.array([limit.normalise(values[0, limit.position]) for limit in request.limits])
+    return without_interval(h, values, "a run of the perfect mechanism")
 
 
 def search_starts(sizes: Sizes, key: RandomKey) -> Float[np.ndarray, "starts k"]:
@@ -224,16 +258,18 @@ def search_starts(sizes: Sizes, key: RandomKey) -> Float[np.ndarray, "starts k"]
 
 
 def worst_points(
-    observer: Observer, limit: NormalisedLimit, y: Float[np.ndarray, " p"], starts: Float[np.ndarray, "starts k"]
+    observer: Observer, limit: Limit, y: Float[np.ndarray, " p"], starts: Float[np.ndarray, "starts k"]
 ) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, " n"]]:
     """The distinct local maxima of a normalised limit over the box or zones of the tolerances at y, the worst first."""
 
+    variables = observer.request.variables
+
     def function(z: Float[np.ndarray, "n k"]) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n k"]]:
         seen = observer.observe(y, z)
-        slopes = observer.variables.by_errors(y, seen.jacobian)[:, limit.position] * (limit.sign / limit.scale)
-        return limit.normalise(seen.values), slopes
+        slopes = variables.by_errors(y, seen.jacobian)[:, limit.position] * (limit.sign / limit.scale)
+        return limit.normalise(seen.values[:, limit.position]), slopes
 
-    within = projection(observer.variables.sizes.region)
+    within = projection(variables.sizes.region)
     search = climb_together(function, within, starts, evaluations=SEARCH_STEPS, tolerance=STATIONARY)
     points, heights = np.asarray(search.point), np.asarray(search.value)
     kept = distinct(points, heights, NEW_POINT)
@@ -253,8 +289,8 @@ def _failed(count: int, variables: int, limits: Sequence[int]) -> Constrained:
 
 
 CRITERIA: dict[str, Callable[..., Criterion]] = {
-    "nominal": lambda observer, limits, key, **_: NominalCriterion(observer, limits),
-    "worst_case": lambda observer, limits, key, **_: WorstCaseCriterion(observer, limits, key),
+    "nominal": lambda observer, key, **_: NominalCriterion(observer),
+    "worst_case": lambda observer, key, **_: WorstCaseCriterion(observer),
     "rss": partial(SampleCriterion, kind="rss"),
     "yield": partial(SampleCriterion, kind="yield"),
 }

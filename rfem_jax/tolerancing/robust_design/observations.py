@@ -1,6 +1,6 @@
 """Values and derivatives of a problem at many errors, each computed once.
 
-Place in the pipeline: variables, problem -> **observations** -> criteria, search.
+Place in the pipeline: request -> **observations** -> criteria, search.
 
 Symbols: y (p,) variables; z (n, k) standard points; m metrics; values (n, m), NaN where a sample failed.
 """
@@ -10,14 +10,12 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from rfem_jax.tolerancing.problems.evaluation import evaluate_points
 from rfem_jax.tolerancing.problems.linearisation import linearise_points
-from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.reproduction import require_reproduced
-from rfem_jax.tolerancing.problems.sample_values import Base
-from rfem_jax.tolerancing.robust_design.variables import Variables
+from rfem_jax.tolerancing.robust_design.request import Request
 
 
 class Observed(NamedTuple):
@@ -37,15 +35,11 @@ class Observed(NamedTuple):
 class Observer:
     """Evaluates a problem at variables and standard points.
 
-    Attributes: base, errors with fixed values; mode and batch as of `linearise_points`; told, is called with the
-    number of simulations after every evaluation; simulations, failed: their numbers so far.
+    Attributes: told, is called with the number of simulations after every evaluation; simulations, failed: their
+    numbers so far.
     """
 
-    problem: ToleranceProblem
-    variables: Variables
-    base: Base
-    mode: str
-    batch: int
+    request: Request
     told: Callable[[int], object] | None = None
     simulations: int = 0
     failed: int = 0
@@ -54,7 +48,7 @@ class Observer:
 
     def observe(self, y: Float[np.ndarray, " p"], z: Float[np.ndarray, "n k"]) -> Observed:
         """Values and derivatives at variables y and standard points z."""
-        return self.observe_points(self.variables.deviations(y, z))
+        return self.observe_points(self.request.variables.deviations(y, z))
 
     def observe_points(self, points: Float[np.ndarray, "n names"]) -> Observed:
         """Values and derivatives at deviations."""
@@ -62,7 +56,7 @@ class Observer:
         if key in self._known:
             return self._known[key]
         if key not in self._last:
-            found = self._compute(points)
+            found = Observed(*self.linearise(points))
             self.simulations += len(points)
             self.failed += int(np.sum(~found.good))
             if self.told is not None:
@@ -83,21 +77,27 @@ class Observer:
 
     def require_reproduced(self) -> None:
         """Raise InputError for derivatives through impacts that a finer step does not reproduce."""
-        start = self.variables.start
-        centre = self.variables.deviations(start, np.zeros((1, len(self.variables.errors))))[0]
+        request, variables = self.request, self.request.variables
+        start = variables.start
+        centre = variables.deviations(start, np.zeros((1, len(variables.errors))))[0]
         require_reproduced(
-            self.problem, self.variables.names, self.base, centre, self.variables.reaches(start),
-            mode=self.mode, batch=self.batch,
+            request.problem, variables.names, request.base, centre, variables.reaches(start),
+            mode=request.mode, batch=request.batch,
         )  # fmt: skip
 
-    def values(self, y: Float[np.ndarray, " p"], z: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n m"]:
-        """Values alone, by a program without derivatives; NaN where a sample failed."""
-        points = self.variables.deviations(y, z)
+    def values(self, points: Float[np.ndarray, "n names"]) -> Float[np.ndarray, "n m"]:
+        """Values alone at deviations, by a program without derivatives; NaN where a sample failed."""
+        request = self.request
         self.simulations += len(points)
-        return evaluate_points(self.problem, self.variables.names, self.base, points, self.batch)[0]
+        return evaluate_points(request.problem, request.variables.names, request.base, points, request.batch)[0]
 
-    def _compute(self, points) -> Observed:
-        values, jacobian, _ = linearise_points(
-            self.problem, self.variables.names, self.base, points, mode=self.mode, batch=self.batch
-        )
-        return Observed(values, jacobian)
+    def linearise(
+        self, points: Float[np.ndarray, "n names"], metric: Int[np.ndarray, " n"] | None = None
+    ) -> tuple[Float[np.ndarray, "n m"], Float[np.ndarray, "n m names"] | Float[np.ndarray, "n names"]]:
+        """Values of all metrics at deviations and their derivatives by these; with `metric` those of one each."""
+        request = self.request
+        values, derivatives, _ = linearise_points(
+            request.problem, request.variables.names, request.base, points,
+            metric=metric, mode=request.mode, batch=request.batch,
+        )  # fmt: skip
+        return values, derivatives

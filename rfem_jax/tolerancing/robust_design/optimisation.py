@@ -15,7 +15,6 @@ J. E. Falk, J. Optim. Theory Appl. 19 (1976) 261-281 (exchange of worst points).
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -26,19 +25,18 @@ from jaxtyping import Array, Float
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.basics.errors import InputError, require_choice
 from rfem_jax.description.basics.precision import require_float64
-from rfem_jax.tolerancing.allocation.cost_models import CostModel, total_cost
 from rfem_jax.tolerancing.checks import ErrorValue
 from rfem_jax.tolerancing.layout import show_number
 from rfem_jax.tolerancing.optimisation.sizes import Zones
 from rfem_jax.tolerancing.optimisation.starting_points import sobol_units
 from rfem_jax.tolerancing.problems.distributions import Normal, Tolerance
-from rfem_jax.tolerancing.problems.linearisation import choose_mode
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
-from rfem_jax.tolerancing.robust_design.criteria import CRITERIA, FAILED, Criterion
+from rfem_jax.tolerancing.robust_design.cost_models import CostModel, total_cost
+from rfem_jax.tolerancing.robust_design.criteria import CRITERIA, FAILED, Criterion, verify_nominal
 from rfem_jax.tolerancing.robust_design.observations import Observer
-from rfem_jax.tolerancing.robust_design.request import COST, Bounds, Request, Widths, check_request
-from rfem_jax.tolerancing.robust_design.result import DesignOptimum, LimitAtOptimum
+from rfem_jax.tolerancing.robust_design.request import COST, Bounds, Widths, check_request
+from rfem_jax.tolerancing.robust_design.result import DesignOptimum, LimitCheck
 from rfem_jax.tolerancing.robust_design.search import (
     HOLDS,
     PENALTY,
@@ -47,31 +45,13 @@ from rfem_jax.tolerancing.robust_design.search import (
     least_violation,
     minimise_within,
 )
-from rfem_jax.tolerancing.robust_design.verification import (
-    Verified,
-    verify_nominal,
-    verify_sample,
-    verify_worst_case,
-)
+from rfem_jax.tolerancing.robust_design.verification import Verified, check_limits, within
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
 
 EXCHANGES = 12  # of worst points, at most
 ATTEMPTS = 3  # searches, each after a fresh run that fell short
 STATIONARY = 1e-4  # KKT residual of a search that has converged, of the objective at the start
-AGREES = 1e-3  # of a limit: how far a fresh worst case may exceed it
 TIED = 1e-4  # constraints that differ by this share of the largest stand against each other
-
-
-@dataclass(frozen=True, eq=False)
-class _Settings:
-    """Numbers of `optimise` that are passed on."""
-
-    robust: str
-    level: float
-    coverage: float
-    distribution: Callable[[float], Tolerance]
-    samples: int
-    verify_samples: int
 
 
 @Program
@@ -128,16 +108,15 @@ def optimise(
     for name, number in (("samples", samples), ("starts", starts), ("searches", searches)):
         if number < 1:
             raise InputError(f"Argument `{name}` must be at least 1, but it is {number}.")
-    request = check_request(problem, designs, tolerances, objective, limits, cost, at, robust, zones)
-    settings = _Settings(robust, target, coverage, distribution, samples, verify_samples)
-    mode = choose_mode(mode, len(request.variables.names), len(problem.metrics), problem)
-    observer = Observer(problem, request.variables, request.base, mode, batch, progress)
+    request = check_request(problem, designs, tolerances, objective, limits, cost, at, robust, zones, mode, batch)
+    observer = Observer(request, progress)
     observer.require_reproduced()
     keys = jax.random.split(key, 4)
     criterion = CRITERIA[robust](
-        observer, request.limits, keys[0], level=target, coverage=coverage, distribution=distribution, samples=samples
-    )
-    study = _Study(request, settings, observer, criterion, steps)
+        observer, keys[0], level=target, coverage=coverage, distribution=distribution, samples=samples,
+        verify_samples=verify_samples,
+    )  # fmt: skip
+    study = _Study(observer, criterion, robust, steps)
     begun = study.begin(starts, keys[1])[:searches]
     solved = [study.solve(start, jax.random.fold_in(keys[2], n)) for n, start in enumerate(begun)]
     return study.finish(min(solved, key=study.merit), keys[3], starts)
@@ -146,9 +125,9 @@ def optimise(
 class _Study:
     """One optimisation while it is solved."""
 
-    def __init__(self, request: Request, settings: _Settings, observer: Observer, criterion: Criterion, steps: int):
-        self.request, self.settings, self.observer = request, settings, observer
-        self.criterion, self.steps = criterion, steps
+    def __init__(self, observer: Observer, criterion: Criterion, robust: str, steps: int):
+        self.request, self.observer = observer.request, observer
+        self.criterion, self.robust, self.steps = criterion, robust, steps
         self.scale = 1.0
         self.history: list[tuple[float, float]] = []
 
@@ -204,21 +183,20 @@ class _Study:
 
     def solve(self, start: Float[np.ndarray, " p"], key: RandomKey) -> Found:
         """The best point from a start, all worst points found."""
-        found = minimise_within(self.evaluate, start, most=self.steps)
-        for number in range(EXCHANGES):
-            self._note(found)
-            if not self.criterion.extend(found.y, jax.random.fold_in(key, number)):
-                break
-            found = minimise_within(self.evaluate, found.y, most=self.steps)
-        return found
+        return self._exchange(minimise_within, start, key, self._note)
 
     def nearest(self, start: Float[np.ndarray, " p"], key: RandomKey) -> Found:
         """The point that comes nearest to the limits, all worst points found."""
-        found = least_violation(self.evaluate, start, most=self.steps)
+        return self._exchange(least_violation, start, key, lambda found: None)
+
+    def _exchange(self, search, start, key, note) -> Found:
+        """Search until there are no more worst points at the end that the constraints lack."""
+        found = search(self.evaluate, start, most=self.steps)
         for number in range(EXCHANGES):
+            note(found)
             if not self.criterion.extend(found.y, jax.random.fold_in(key, number)):
                 break
-            found = least_violation(self.evaluate, found.y, most=self.steps)
+            found = search(self.evaluate, found.y, most=self.steps)
         return found
 
     def _note(self, found: Found) -> None:
@@ -255,24 +233,11 @@ class _Study:
 
     def verify(self, y: Float[np.ndarray, " p"], key: RandomKey) -> Verified:
         """A fresh run at y."""
-        limits, settings = self.request.limits, self.settings
-        if settings.robust == "nominal" or not limits:
-            return verify_nominal(self.observer, limits, y)
-        if settings.robust == "worst_case":
-            return verify_worst_case(self.observer, limits, y, key)
-        return verify_sample(
-            self.observer, limits, y, key, settings.distribution, settings.verify_samples, settings.coverage
-        )
+        return self.criterion.verify(y, key) if self.request.limits else verify_nominal(self.observer, y)
 
     def shortfall(self, verified: Verified) -> float:
-        """How far a fresh run is beyond its limits: of a yield the fraction that lacks, else of the limits; at most 0
-        where it agrees."""
-        if not self.request.limits:
-            return 0.0
-        if self.settings.robust == "yield":
-            lacking = self.settings.level - verified.fraction
-            return lacking if verified.interval[1] < self.settings.level else 0.0
-        return max(float(np.max(verified.low)), 0.0) if np.max(verified.low) > AGREES else 0.0
+        """As `Criterion.shortfall`; 0 where there are no limits."""
+        return self.criterion.shortfall(verified) if self.request.limits else 0.0
 
     def judge(self, found: Found, verified: Verified) -> tuple[str, str]:
         """Status and message of an answer."""
@@ -293,13 +258,12 @@ class _Study:
         owner = constrained.limit[int(np.argmax(constrained.value))]
         if owner < 0:
             seen = self.criterion.observe(found.y)
-            h = np.stack([limit.normalise(seen.values[1:]) for limit in self.request.limits], axis=1)
+            h = self.request.normalise(seen.values[1:])
             good = np.isfinite(h).all(axis=1)
             owner = int(np.argmax((h[good] > 0.0).mean(axis=0))) if good.any() else 0
-            within = float(np.mean(np.all(np.where(np.isfinite(h), h, np.inf) <= 0.0, axis=1)))
-            limit = self.request.limits[owner]
+            limit, share = self.request.limits[owner], np.mean(within(h))
             return (
-                f"The yield {self.settings.level:g} cannot be met: it is {within:.4f} at the nearest design, and the "
+                f"The yield {self.criterion.level:g} cannot be met: it is {share:.4f} at the nearest design, and the "
                 f"limit {show_number(limit.bound)} {limit.unit} on {limit.metric} is missed most often; relax it, or "
                 "widen the bounds."
             )
@@ -308,14 +272,9 @@ class _Study:
         for value, number in zip(constrained.value, constrained.limit, strict=True):
             if value >= largest - TIED * abs(largest):
                 binding[number] = value
-        words = [
-            f"at {'most' if limit.sign > 0.0 else 'least'} {show_number(limit.bound, 6)} {limit.unit} on {limit.metric}"
-            for limit in map(self.request.limits.__getitem__, binding)
-        ]
-        reached = [
-            f"{show_number(limit.restore(float(value)), 6)} {limit.unit}"
-            for limit, value in zip(map(self.request.limits.__getitem__, binding), binding.values(), strict=True)
-        ]
+        limits = [self.request.limits[number] for number in binding]
+        words = [limit.words for limit in limits]
+        reached = [limit.reached(value) for limit, value in zip(limits, binding.values(), strict=True)]
         if len(binding) == 1:
             head, tail = f"The limit {words[0]} cannot be met", f"reaches {reached[0]}; relax it to that"
         else:
@@ -334,7 +293,7 @@ class _Study:
         metric_units = {metric.name: metric.unit for metric in request.problem.metrics}
         objective = sum(weight * terms[name] for name, weight in request.weights.items())
         return DesignOptimum(
-            criterion=self.settings.robust,
+            criterion=self.robust,
             status=outcome[0],
             message=outcome[1],
             designs=variables.named_values(y),
@@ -357,28 +316,12 @@ class _Study:
             history=tuple(self.history),
         )
 
-    def _limits(self, found: Found, verified: Verified, nominal: dict[str, float]) -> tuple[LimitAtOptimum, ...]:
-        checks = []
-        constrained = self.criterion.constraints(found.y) if self.request.limits else None
-        for i, limit in enumerate(self.request.limits):
-            assert constrained is not None
-            own = [j for j, owner in enumerate(constrained.limit) if owner == i]
-            predicted = limit.restore(float(np.max(constrained.value[own]))) if own else np.nan
-            price = float(np.sum(found.multipliers[own])) * self.scale / limit.scale if own else np.nan
-            value = limit.restore(float(verified.h[i]))
-            low, high = sorted(limit.restore(float(end[i])) for end in (verified.low, verified.high))
-            checks.append(
-                LimitAtOptimum(
-                    metric=limit.metric,
-                    unit=limit.unit,
-                    side="upper" if limit.sign > 0.0 else "lower",
-                    limit=limit.bound,
-                    nominal=nominal[limit.metric],
-                    predicted=predicted,
-                    verified=value,
-                    verified_interval=(low, high),
-                    margin=float(limit.sign * (limit.bound - value)),
-                    shadow_price=-limit.sign * price,
-                )
-            )
-        return tuple(checks)
+    def _limits(self, found: Found, verified: Verified, nominal: dict[str, float]) -> tuple[LimitCheck, ...]:
+        if not self.request.limits:
+            return ()
+        constrained = self.criterion.constraints(found.y)
+        owners = [np.flatnonzero(np.array(constrained.limit) == i) for i in range(len(self.request.limits))]
+        # Of a yield, which counts all limits together, none has constraints of its own.
+        predicted = np.array([np.max(constrained.value[own]) if len(own) else np.nan for own in owners])
+        prices = np.array([np.sum(found.multipliers[own]) * self.scale if len(own) else np.nan for own in owners])
+        return check_limits(self.request.limits, nominal, predicted, verified, prices)

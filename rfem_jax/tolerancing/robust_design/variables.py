@@ -1,6 +1,6 @@
-"""What an optimisation of a design may change: dimensions and tolerances, scaled to the unit cube.
+"""What an optimisation may change: dimensions and tolerances, scaled to the unit cube.
 
-Place in the pipeline: first step of `optimise`; knows names and numbers, not the problem.
+Place in the pipeline: first step of `optimise` and `allocate`; knows names and numbers, not the problem.
 
 A problem takes deviations {name: number}: of an error from zero, of a parameter from its value in the description.  A
 dimension d is set by the deviation d - nominal; an error scatters as t z about it, with the half-width t of its
@@ -12,13 +12,12 @@ unit cube: designs in proportion, sizes by their logarithm; t (v,) half-widths [
 zones; z (n, k) standard points.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
-from rfem_jax.description.basics.errors import InputError
 from rfem_jax.tolerancing.optimisation.sizes import Sizes
 
 
@@ -28,7 +27,7 @@ class Variables:
 
     Attributes: designs (d names) between design_lower and design_upper, with their nominal values; sizes of
     the tolerances with half_widths (or diameters), of which those at the places `free` are found between width_lower
-    and width_upper.
+    and width_upper; centre (names) of all deviations but those of designs.
     """
 
     designs: tuple[str, ...]
@@ -40,17 +39,7 @@ class Variables:
     free: tuple[int, ...]
     width_lower: Float[np.ndarray, " free"]
     width_upper: Float[np.ndarray, " free"]
-
-    def __post_init__(self):
-        for name, low, high in zip(self.designs, self.design_lower, self.design_upper, strict=True):
-            _require_order(name, low, high, "designs")
-        for i, low, high in zip(self.free, self.width_lower, self.width_upper, strict=True):
-            _require_order(self.sizes.names[i], low, high, "tolerances")
-            if low <= 0.0:
-                raise InputError(
-                    "Argument `tolerances` must give positive half-widths, but the smallest of "
-                    f"`{self.sizes.names[i]}` is {low:g}; no cost is finite there."
-                )
+    centre: Float[np.ndarray, " names"] | float = 0.0
 
     @property
     def size(self) -> int:
@@ -91,10 +80,20 @@ class Variables:
 
     def deviations(self, y: Float[np.ndarray, " p"], z: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n names"]:
         """Deviations that the problem takes, in the order of `names`."""
-        points = np.zeros((len(z), len(self.names)))
-        points[:, : len(self.designs)] = self.values(y) - self.nominal
-        points[:, self._columns()] += z * self.sizes.spread(self.widths(y)) @ self.sizes.matrix.T  # none occurs twice
+        return self.scattered(self.widths(y), z, self.values(y) - self.nominal)
+
+    def scattered(
+        self, t: Float[np.ndarray, " v"], z: Float[np.ndarray, "n k"], design: Float[np.ndarray, " d"] | float = 0.0
+    ) -> Float[np.ndarray, "n names"]:
+        """Deviations at sizes t and standard points z, where those of the designs are `design`."""
+        points = np.zeros((len(z), len(self.names))) + self.centre
+        points[:, : len(self.designs)] += design
+        points[:, self._columns()] += z * self.sizes.spread(t) @ self.sizes.matrix.T  # none occurs twice
         return points
+
+    def by_coordinates(self, jacobian: Float[np.ndarray, "*n names"]) -> Float[np.ndarray, "*n k"]:
+        """Derivatives by the coordinates t z of the errors from those by the deviations."""
+        return jacobian[..., self._columns()] @ self.sizes.matrix
 
     def pull_back(
         self, y: Float[np.ndarray, " p"], z: Float[np.ndarray, "n k"], jacobian: Float[np.ndarray, "n m names"]
@@ -103,7 +102,7 @@ class Variables:
         d = len(self.designs)
         found = np.empty((*jacobian.shape[:2], self.size))
         found[:, :, :d] = jacobian[:, :, :d] * (self.design_upper - self.design_lower)
-        along = jacobian[:, :, self._columns()] @ self.sizes.matrix * z[:, None]
+        along = self.by_coordinates(jacobian) * z[:, None]
         for place, size in enumerate(self.free):
             found[:, :, d + place] = along[:, :, self.sizes.owner == size].sum(axis=2) * self.width_slopes(y)[place]
         return found
@@ -112,7 +111,7 @@ class Variables:
         self, y: Float[np.ndarray, " p"], jacobian: Float[np.ndarray, "n m names"]
     ) -> Float[np.ndarray, "n m k"]:
         """Derivatives by the standard points from those by the deviations."""
-        return jacobian[:, :, self._columns()] @ self.sizes.matrix * self.sizes.spread(self.widths(y))
+        return self.by_coordinates(jacobian) * self.sizes.spread(self.widths(y))
 
     def reaches(self, y: Float[np.ndarray, " p"]) -> Float[np.ndarray, " names"]:
         """How far each deviation may be away at y: half the range of a design, the half-width of an error."""
@@ -138,8 +137,15 @@ class Variables:
         called "tolerance of NAME"."""
         free = [self.sizes.names[i] for i in self.free]
         labels = (*self.designs, *(f"tolerance of {name}" if name in self.designs else name for name in free))
-        ends = {label: "smallest" for label, value in zip(labels, y, strict=True) if value <= tolerance}
-        return ends | {label: "largest" for label, value in zip(labels, y, strict=True) if value >= 1.0 - tolerance}
+        return at_ends(labels, y, np.full(len(y), tolerance), np.full(len(y), 1.0 - tolerance))
+
+
+def at_ends(
+    names: Sequence[str], values: Float[np.ndarray, " n"], low: Float[np.ndarray, " n"], high: Float[np.ndarray, " n"]
+) -> dict[str, str]:
+    """{name: "smallest" | "largest"} of the values that are not between low and high."""
+    ends = {name: "smallest" for name, value, end in zip(names, values, low, strict=True) if value <= end}
+    return ends | {name: "largest" for name, value, end in zip(names, values, high, strict=True) if value >= end}
 
 
 def separate_widths(
@@ -157,11 +163,3 @@ def separate_widths(
             values.append(width)
     lower, upper = np.array(bounds).reshape(-1, 2).T
     return np.array(values, dtype=float), tuple(free), lower, upper
-
-
-def _require_order(name: str, low: float, high: float, where: str) -> None:
-    if not (np.isfinite(low) and np.isfinite(high) and low < high):
-        raise InputError(
-            f"Argument `{where}` must give (lowest, highest) of finite numbers in this order, but `{name}` has "
-            f"({low:g}, {high:g}); exchange them, or leave out what must not change."
-        )

@@ -1,35 +1,30 @@
-"""A fresh run at the answer of an optimisation, which did not serve to find it.
+"""A fresh run at an answer, which did not serve to find it, and what it says of the limits.
 
-Place in the pipeline: criteria, search -> **verification** -> optimisation.
-
-Values come from the program without derivatives.  nominal: the perfect mechanism; worst_case: searches from new
-starting points, and all corners of the box where they are few; rss and yield: an independent Monte Carlo run.
+Place in the pipeline: observations -> **verification** -> criteria, which say how they are verified. Values come from
+the program without derivatives.
 """
 
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Float
 
-from rfem_jax.tolerancing.optimisation.starting_points import box_corners
 from rfem_jax.tolerancing.problems.distributions import Tolerance
-from rfem_jax.tolerancing.robust_design.criteria import (
-    NormalisedLimit,
-    search_starts,
-    worst_points,
-)
 from rfem_jax.tolerancing.robust_design.observations import Observer
+from rfem_jax.tolerancing.robust_design.request import Limit
+from rfem_jax.tolerancing.robust_design.result import LimitCheck
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
 from rfem_jax.tolerancing.sampling.statistics import estimate_mean, estimate_std, estimate_yield
 
-ALL_CORNERS = 8  # errors, of which all corners of the box are tried
+Statistic = Callable[[Float[np.ndarray, " n"]], tuple[float, float, float]]
 
 
 class Verified(NamedTuple):
     """Normalised limits (l,) of a fresh run, between low and high (l,) with 95 % confidence; fraction of samples
-    within all limits with its interval (NaN but for samples); failed samples; what the run was, in words."""
+    within all limits with its interval (NaN but for samples); failed samples; what the run was, in words; the worst
+    cases (`WorstCase`) of an allocation."""
 
     h: Float[np.ndarray, " l"]
     low: Float[np.ndarray, " l"]
@@ -38,59 +33,91 @@ class Verified(NamedTuple):
     interval: tuple[float, float]
     failed: int
     what: str
+    worst: tuple[Any, ...] = ()
 
 
-def verify_nominal(observer: Observer, limits: Sequence[NormalisedLimit], y: Float[np.ndarray, " p"]) -> Verified:
-    """The perfect mechanism."""
-    values = observer.values(y, np.zeros((1, len(observer.variables.errors))))
-    return _exact(np.array([limit.normalise(values[0]) for limit in limits]), values, "a run of the perfect mechanism")
-
-
-def verify_worst_case(
-    observer: Observer, limits: Sequence[NormalisedLimit], y: Float[np.ndarray, " p"], key: RandomKey
-) -> Verified:
-    """Searches from new starting points, and corners of the box."""
-    sizes = observer.variables.sizes
-    k, starts = len(sizes.errors), search_starts(sizes, key)
-    points = np.concatenate([worst_points(observer, limit, y, starts)[0][:2] for limit in limits])
-    what = "searches for the worst case from new starting points"
-    if k <= ALL_CORNERS and sizes.region == "box":
-        points, what = np.concatenate([points, box_corners(k)]), f"{what} and at all {2**k} corners"
-    values = observer.values(y, np.concatenate([np.zeros((1, k)), points]))
-    h = np.array([np.nanmax(limit.normalise(values)) for limit in limits])
-    return _exact(h, values, what)
+def without_interval(h: Float[np.ndarray, " l"], values: Float[np.ndarray, "n m"], what: str) -> Verified:
+    """A run without an interval; limits that have no value do not hold."""
+    h = np.where(np.isfinite(h), h, np.inf)
+    return Verified(h, h, h, np.nan, (np.nan, np.nan), int(np.sum(~np.isfinite(values).all(axis=1))), what)
 
 
 def verify_sample(
     observer: Observer,
-    limits: Sequence[NormalisedLimit],
-    y: Float[np.ndarray, " p"],
+    deviations: Callable[[Float[np.ndarray, "n k"]], Float[np.ndarray, "n names"]],
     key: RandomKey,
-    distribution: Callable[[float], Tolerance],
+    distribution: Tolerance,
     samples: int,
-    coverage: float,
+    statistic: Statistic,
 ) -> Verified:
-    """An independent Monte Carlo run: mean + `coverage` deviations of every limit, and the yield."""
-    units = np.asarray(jax.random.uniform(key, (samples, len(observer.variables.errors)), minval=1e-12))
-    values = observer.values(y, observer.variables.sizes.standard(distribution(1.0), units))
-    h = np.stack([limit.normalise(values) for limit in limits], axis=1)
-    good = np.isfinite(h).all(axis=1)
-    fraction = estimate_yield(np.all(np.where(np.isfinite(h), h, np.inf) <= 0.0, axis=1))
-    what = f"an independent Monte Carlo run of {samples} samples"
-    interval = (float(fraction.low), float(fraction.high))
-    failed = int(np.sum(~good))
-    if good.sum() < 2:
-        none = np.full(len(limits), np.inf)
-        return Verified(none, none, none, float(fraction.value), interval, failed, what)
-    ends = [(estimate_mean(column), estimate_std(column)) for column in h[good].T]
-    found, low, high = (
-        np.array([getattr(mean, end) + coverage * getattr(spread, end) for mean, spread in ends])
-        for end in ("value", "low", "high")
-    )
-    return Verified(found, low, high, float(fraction.value), interval, failed, what)
+    """An independent Monte Carlo run: a statistic of every limit, and the yield.
+
+    Args: deviations, of standard points at the answer; distribution of half-width 1; statistic, h (n,) of a limit, NaN
+        where a sample failed -> value, low and high end.
+    """
+    sizes = observer.request.variables.sizes
+    units = np.asarray(jax.random.uniform(key, (samples, len(sizes.errors)), minval=1e-12))
+    h, failed = sampled_limits(observer, deviations(sizes.standard(distribution, units)))
+    value, low, high = np.array([statistic(column) for column in h.T]).T
+    fraction = estimate_yield(within(h))
+    interval, what = (fraction.low, fraction.high), f"an independent Monte Carlo run of {samples} samples"
+    return Verified(value, low, high, fraction.value, interval, failed, what)
 
 
-def _exact(h: Float[np.ndarray, " l"], values: Float[np.ndarray, "n m"], what: str) -> Verified:
-    """A run without an interval; limits that have no value do not hold."""
-    h = np.where(np.isfinite(h), h, np.inf)
-    return Verified(h, h, h, np.nan, (np.nan, np.nan), int(np.sum(~np.isfinite(values).all(axis=1))), what)
+def sampled_limits(observer: Observer, points: Float[np.ndarray, "n names"]) -> tuple[Float[np.ndarray, "n l"], int]:
+    """Normalised limits at deviations, NaN for failed samples, and the number of these."""
+    h = observer.request.normalise(observer.values(points))
+    failed = ~np.all(np.isfinite(h), axis=1)
+    return np.where(failed[:, None], np.nan, h), int(failed.sum())
+
+
+def within(h: Float[np.ndarray, "n l"]) -> np.ndarray:
+    """Which samples keep all limits; failed ones do not."""
+    return np.all(np.where(np.isfinite(h), h, np.inf) <= 0.0, axis=1)
+
+
+def mean_and_deviations(coverage: float) -> Statistic:
+    """Mean + `coverage` standard deviations of the samples that did not fail, each with its interval."""
+
+    def statistic(h: Float[np.ndarray, " n"]) -> tuple[float, float, float]:
+        good = h[np.isfinite(h)]
+        if len(good) < 2:
+            return np.inf, np.inf, np.inf
+        mean, spread = estimate_mean(good), estimate_std(good)
+        value, low, high = (getattr(mean, one) + coverage * getattr(spread, one) for one in ("value", "low", "high"))
+        return value, low, high
+
+    return statistic
+
+
+def check_limits(
+    limits: Sequence[Limit],
+    nominal: Mapping[str, float],
+    predicted: Float[np.ndarray, " l"],
+    verified: Verified,
+    prices: Float[np.ndarray, " l"],
+    quadratic: Float[np.ndarray, " l"] | None = None,
+) -> tuple[LimitCheck, ...]:
+    """The limits at the answer.
+
+    Args: nominal {metric: value}; predicted, quadratic (l,) normalised limits by the criterion and by the quadratic
+        model; prices (l,), d(cost)/d(normalised limit).
+    """
+    checks = []
+    for i, limit in enumerate(limits):
+        low, high = sorted(float(limit.restore(end[i])) for end in (verified.low, verified.high))
+        checks.append(
+            LimitCheck(
+                metric=limit.metric,
+                unit=limit.unit,
+                side="upper" if limit.sign > 0 else "lower",
+                limit=limit.bound,
+                nominal=nominal[limit.metric],
+                quadratic=np.nan if quadratic is None else float(limit.restore(quadratic[i])),
+                predicted=float(limit.restore(predicted[i])),
+                verified=float(limit.restore(verified.h[i])),
+                verified_interval=(low, high),
+                shadow_price=float(-limit.sign * prices[i] / limit.scale),
+            )
+        )
+    return tuple(checks)

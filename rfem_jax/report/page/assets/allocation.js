@@ -1,30 +1,17 @@
 // An allocation: tolerances before and after, cost against the limit, and what was verified.
 function allocationPage(task) {
   const { result } = task;
-  const before = (result.before || {}).tolerances || {};
-  const rows = asEntries(result.tolerances).map(([name, after]) => ({ name, after }));
+  const rows = designRows(result);
   if (!rows.length) return null;
-  const columns = [
-    { label: "error", value: (row) => row.name },
-    { label: "tolerance before", value: (row) => before[row.name], show: (value, row) => showError(value, errorUnit(row.name)) },
-    { label: "tolerance after", value: (row) => row.after, show: (value, row) => showError(value, errorUnit(row.name)) },
-    { label: "at bound", value: (row) => (result.at_bounds || {})[row.name] || "" },
-  ];
-  const limits = Array.isArray(result.limits) ? result.limits : [];
-  const limitColumns = [
-    { label: "metric", value: (row) => row.metric }, { label: "unit", value: (row) => (row.unit === "1" ? "" : row.unit) },
-    { label: "side", value: (row) => row.side }, { label: "nominal", value: (row) => row.nominal },
-    { label: "limit", value: (row) => row.limit }, { label: "verified", value: (row) => row.verified },
-  ];
-  const costs = [`Cost ${showNumber(result.cost)}`];
-  if (Number.isFinite((result.before || {}).cost)) costs.push(`before ${showNumber(result.before.cost)}`);
-  const reached = result.verified_yield === null || result.verified_yield === undefined ? null : `verified yield ${showNumber(100 * result.verified_yield)} %`;
+  const { cost } = result.before || {};
+  const share = result.verified_yield;
+  const said = [`Cost ${showNumber(result.cost)}`, Number.isFinite(cost) ? `before ${showNumber(cost)}` : "", statusText(result),
+    Number.isFinite(share) ? `verified yield ${showNumber(100 * share)} %` : ""];
   return [
-    section("The cheapest tolerances", make("p", {}, [...costs, result.criterion && String(result.criterion).replace(/_/g, " "), `status ${result.status}`, reached].filter(Boolean).join(", "), "."),
-      sortableTable("Tolerances before and after (half-widths)", columns, rows, { id: "tolerances" }),
-      limits.length ? sortableTable("Limits, and what was verified", limitColumns, limits) : null),
-    frontSection(result, limits),
-    historyOfCost(result),
+    section("The cheapest tolerances", ...answerText(said, result),
+      beforeAndAfter("Tolerances before and after (half-widths)", rows, result, "tolerances"), limitsTable(result, "allocation-limits")),
+    frontSection(result, limitsOf(result)),
+    searchSection(result, "cost", "allocation-search"),
   ];
 }
 
@@ -47,14 +34,6 @@ function frontSection(result, limits) {
   return section("Cost against the limit", make("figure", {}, cost),
     make("figure", {}, make("figcaption", {}, "Tolerances that belong to each limit, as shares of the widest"),
       lineChart(share, title, "share of the widest", "Tolerances against the limit", { points: true }), make("div", { class: "legend" }, legend)));
-}
-
-function historyOfCost(result) {
-  const rows = (Array.isArray(result.history) ? result.history : []).filter((one) => one && typeof one === "object" && !Array.isArray(one));
-  if (rows.length < 2) return null;
-  const keys = Object.keys(rows[0]).filter((key) => rows.some((row) => Number.isFinite(row[key])));
-  const columns = [{ label: "round", value: (row) => rows.indexOf(row) + 1 }, ...keys.map((key) => ({ label: key.replace(/_/g, " "), value: (row) => row[key] }))];
-  return section("Rounds of the search", sortableTable("How the answer was approached", columns, rows));
 }
 
 // A task of a kind that this page does not know: its plain values.

@@ -1,38 +1,55 @@
-// An optimisation: dimensions and tolerances before and after, limits, the way of the search, the Pareto front.
+// An optimisation: dimensions and tolerances before and after, limits, the way of the search, the Pareto front. Tables of
+// an allocation are the same.
 function designRows(result) {
   const rows = asEntries(result.designs).map(([name, after]) =>
     ({ name, kind: "dimension", before: (result.initial || {})[name], after, bounds: (result.bounds || {})[name] }));
-  const widths = asEntries(result.tolerances).map(([name, after]) => ({
-    name, kind: "tolerance", before: (result.tolerances_before || {})[name], after, bounds: (result.tolerance_bounds || {})[name],
-  }));
+  const before = result.tolerances_before || (result.before || {}).tolerances || {};
+  const widths = asEntries(result.tolerances).map(([name, after]) =>
+    ({ name, kind: "tolerance", before: before[name], after, bounds: (result.tolerance_bounds || {})[name] }));
   return [...rows, ...widths].map((row) => ({ ...row, unit: String((result.units || {})[row.name] || "") }));
 }
+
+function beforeAndAfter(caption, rows, result, id) {
+  const shown = (value, row) => (Number.isFinite(value) ? showError(value, row.unit) : "n/a");
+  const kinds = new Set(rows.map((row) => row.kind)).size > 1 ? [{ label: "kind", value: (row) => row.kind }] : [];
+  const columns = [
+    { label: "number", value: (row) => row.name }, ...kinds,
+    { label: "before", value: (row) => row.before, show: shown }, { label: "after", value: (row) => row.after, show: shown },
+    { label: "at bound", value: (row) => (result.at_bounds || {})[row.name] || (result.at_bounds || {})[`tolerance of ${row.name}`] || "" },
+  ];
+  return sortableTable(caption, columns, rows, { id });
+}
+
+const limitsOf = (result) => (Array.isArray(result.limits) ? result.limits : []);
+
+function limitsTable(result, id) {
+  const limits = limitsOf(result);
+  const columns = [
+    { label: "metric", value: (row) => row.metric }, { label: "unit", value: (row) => (row.unit === "1" ? "" : row.unit) },
+    { label: "side", value: (row) => row.side }, { label: "limit", value: (row) => row.limit },
+    { label: "perfect mechanism", value: (row) => row.nominal }, { label: "predicted", value: (row) => row.predicted },
+    { label: "verified", value: (row) => row.verified },
+    { label: "margin", value: (row) => (row.margin === undefined ? row.verified_margin : row.margin) },
+    { label: "shadow price", title: "change of the objective if the limit is relaxed by one unit", value: (row) => row.shadow_price },
+  ];
+  return limits.length ? sortableTable("Limits, and what was verified", columns, limits, { id }) : null;
+}
+
+const statusText = (result) => [String(result.criterion || "").replace(/_/g, " "), `status ${result.status}`].filter(Boolean).join(", ");
+
+const answerText = (said, result) => [make("p", {}, `${said.filter(Boolean).join(", ")}.`),
+  result.message ? make("p", { class: "hint" }, String(result.message)) : null];
 
 function optimisePage(task) {
   const { result } = task;
   const rows = designRows(result);
   if (!rows.length) return null;
-  const shown = (value, row) => (Number.isFinite(value) ? showError(value, row.unit) : "n/a");
-  const columns = [
-    { label: "number", value: (row) => row.name }, { label: "kind", value: (row) => row.kind },
-    { label: "before", value: (row) => row.before, show: shown }, { label: "after", value: (row) => row.after, show: shown },
-    { label: "at bound", value: (row) => (result.at_bounds || {})[row.name] || (result.at_bounds || {})[`tolerance of ${row.name}`] || "" },
-  ];
-  const limits = Array.isArray(result.limits) ? result.limits : [];
-  const limitColumns = [
-    { label: "metric", value: (row) => row.metric }, { label: "unit", value: (row) => (row.unit === "1" ? "" : row.unit) },
-    { label: "side", value: (row) => row.side }, { label: "limit", value: (row) => row.limit },
-    { label: "perfect mechanism", value: (row) => row.nominal }, { label: "predicted", value: (row) => row.predicted },
-    { label: "verified", value: (row) => row.verified }, { label: "margin", value: (row) => row.margin },
-    { label: "shadow price", title: "change of the objective if the limit is relaxed by one unit", value: (row) => row.shadow_price },
-  ];
   const terms = asEntries(result.terms).map(([name, value]) => `${name} ${showNumber(value)}`).join(", ");
-  const said = [`Objective ${showNumber(result.objective)}${terms ? ` (${terms})` : ""}`, String(result.criterion || "").replace(/_/g, " "), `status ${result.status}`];
+  const said = [`Objective ${showNumber(result.objective)}${terms ? ` (${terms})` : ""}`, statusText(result)];
   return [
-    section("The best design", make("p", {}, `${said.filter(Boolean).join(", ")}.`), result.message ? make("p", { class: "hint" }, String(result.message)) : null,
-      boundsChart(rows), sortableTable("Before and after", columns, rows, { id: "designs" }),
-      limits.length ? sortableTable("Limits, and what was verified", limitColumns, limits, { id: "design-limits" }) : null),
-    searchSection(result), designFront(result),
+    section("The best design", ...answerText(said, result), boundsChart(rows), beforeAndAfter("Before and after", rows, result, "designs"),
+      limitsTable(result, "design-limits")),
+    searchSection(result, "objective", "search"), designFront(result),
   ];
 }
 
@@ -68,18 +85,18 @@ function caseLegend(names) {
     draw("svg", { viewBox: "0 0 16 16", width: 14, height: 14 }, caseMark(i, 8, 8, 5)), name)));
 }
 
-// Objective and largest violation of every solution of the search.
-function searchSection(result) {
+// Objective or cost, and largest violation, of every solution of the search.
+function searchSection(result, what, id) {
   const rows = (Array.isArray(result.history) ? result.history : []).filter((one) => Array.isArray(one) && one.length === 2 && one.every(Number.isFinite));
   if (rows.length < 2) return null;
   const x = rows.map((_, i) => i + 1);
-  const draws = [[0, "objective", "Objective of every solution"], [1, "largest constraint, normalised", "Largest constraint of every solution"]];
+  const draws = [[0, what, `${what[0].toUpperCase()}${what.slice(1)} of every solution`], [1, "largest constraint, normalised", "Largest constraint of every solution"]];
   const parts = draws.map(([place, words, title]) => {
     const lines = place === 1 ? [{ label: "kept below", value: 0 }] : [];
     return make("figure", {}, make("figcaption", {}, title),
       lineChart([{ x, y: rows.map((row) => row[place]), mark: place, name: words }], "solution", words, title, { points: rows.length <= 60, lines }));
   });
-  return section("The way of the search", make("div", { class: "columns", id: "search" }, ...parts));
+  return section("The way of the search", make("div", { class: "columns", id }, ...parts));
 }
 
 function designFront(result) {

@@ -1,7 +1,8 @@
 """Cost models: the cost of a tolerance as a function of its half-width.
 
-Place in the pipeline: input of an allocation. A cost model is any callable of one half-width t [rad or m] that returns
-a cost (in any currency), decreasing in t; the total is the sum over errors. Each error may have a model of its own.
+Place in the pipeline: input of `allocate` and `optimise`. A cost model is any callable of one half-width t [rad or m]
+that returns a cost (in any currency), decreasing in t; the total is the sum over errors. Each error may have a model of
+its own.
 
     Reciprocal          c(t) = fixed + factor / t
     ReciprocalSquared   c(t) = fixed + factor / t^2
@@ -13,7 +14,7 @@ optimization, Int. J. Adv. Manuf. Technol. 107 (2020) 4859-4912, section on tole
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any
 
@@ -28,24 +29,26 @@ from rfem_jax.tolerancing.checks import check_known
 CostModel = Callable[[Float[Array, ""]], ArrayLike]
 
 
-def _check(positive: dict[str, float], where: str) -> None:
-    for name, value in positive.items():
-        if not (np.isfinite(value) and value > 0):
-            raise InputError(
-                f"Argument `{name}` of {where} must be positive, but it is {value}; a cost that does "
-                "not fall with the tolerance has no cheapest one."
-            )
+@dataclass(frozen=True)
+class _FallingCost:
+    """What costs of this file share: all numbers but `fixed` are positive."""
+
+    def __post_init__(self):
+        for one in fields(self):
+            value = getattr(self, one.name)
+            if one.name != "fixed" and not (np.isfinite(value) and value > 0):
+                raise InputError(
+                    f"Argument `{one.name}` of {type(self).__name__} must be positive, but it is {value}; a cost that "
+                    "does not fall with the tolerance has no cheapest one."
+                )
 
 
 @dataclass(frozen=True)
-class Reciprocal:
+class Reciprocal(_FallingCost):
     """c(t) = fixed + factor / t."""
 
     factor: float = 1.0
     fixed: float = 0.0
-
-    def __post_init__(self):
-        _check({"factor": self.factor}, "Reciprocal")
 
     def __call__(self, t: ArrayLike) -> Any:
         """Cost of the half-width t [rad or m]."""
@@ -53,14 +56,11 @@ class Reciprocal:
 
 
 @dataclass(frozen=True)
-class ReciprocalSquared:
+class ReciprocalSquared(_FallingCost):
     """c(t) = fixed + factor / t^2."""
 
     factor: float = 1.0
     fixed: float = 0.0
-
-    def __post_init__(self):
-        _check({"factor": self.factor}, "ReciprocalSquared")
 
     def __call__(self, t: ArrayLike) -> Any:
         """Cost of the half-width t [rad or m]."""
@@ -68,26 +68,16 @@ class ReciprocalSquared:
 
 
 @dataclass(frozen=True)
-class Exponential:
+class Exponential(_FallingCost):
     """c(t) = fixed + factor exp(-rate t)."""
 
     factor: float
     rate: float
     fixed: float = 0.0
 
-    def __post_init__(self):
-        _check({"factor": self.factor, "rate": self.rate}, "Exponential")
-
     def __call__(self, t: ArrayLike) -> Any:
         """Cost of the half-width t [rad or m]."""
         return self.fixed + self.factor * jnp.exp(-self.rate * t)
-
-
-COST_MODELS = {
-    "reciprocal": Reciprocal,
-    "reciprocal_squared": ReciprocalSquared,
-    "exponential": Exponential,
-}
 
 
 def assign_costs(cost: CostModel | Mapping[str, CostModel], names: Sequence[str]) -> tuple[CostModel, ...]:

@@ -1,6 +1,6 @@
 """The statistical criteria of an allocation: root sum of squares (RSS) and yield.
 
-Place in the pipeline: like worst_case_criterion.py, between an allocation and the full problem.
+Place in the pipeline: corrected model -> **corrected statistics** -> allocation.
 
 rss     for each limit alone: mean + c deviations (third-order Cornish-Fisher quantile of the quadratic model; the
         classical root sum of squares for linear metrics, and with the skewness of even metrics such as mean squares up
@@ -25,40 +25,30 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import norm
 
-from rfem_jax.tolerancing.allocation.models import (
-    Answer,
-    Moments,
-    Sample,
-    Sampled,
-    Verified,
-    cheapest,
-    quantile_weights,
-    sample_quantile,
-)
-from rfem_jax.tolerancing.allocation.request import Request
 from rfem_jax.tolerancing.optimisation.starting_points import sobol_units
 from rfem_jax.tolerancing.problems.distributions import Tolerance
+from rfem_jax.tolerancing.robust_design.corrected_model import Answer, CorrectedModel, HalfWidths, Normalised
+from rfem_jax.tolerancing.robust_design.models import Moments, Sample, Sampled, quantile_weights, sample_quantile
+from rfem_jax.tolerancing.robust_design.observations import Observer
+from rfem_jax.tolerancing.robust_design.verification import Verified, sampled_limits, verify_sample, within
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
-from rfem_jax.tolerancing.sampling.statistics import estimate_mean, estimate_quantile, estimate_yield
+from rfem_jax.tolerancing.sampling.statistics import estimate_mean, estimate_quantile
 
 FEWEST = 256  # samples kept per limit for the solves between observations
 BEYOND = 1e300  # value of a failed sample where an order is needed
 
-HalfWidths = Float[np.ndarray, " v"]
-Normalised = Float[np.ndarray, " l"]
 
-
-class StatisticalCriterion:
+class CorrectedStatistics(CorrectedModel):
     """RSS or yield over a distribution of the errors; see the module's docstring.
 
-    Args: request; key of the standard points; kind "rss" or "yield"; level, the yield aimed at; coverage c and
+    Args: observer; key of the standard points; kind "rss" or "yield"; level, the yield aimed at; coverage c and
         statistic "quantile" or "mean" of "rss"; distribution, a callable half-width -> Tolerance; samples, the number
         of standard points; verify_samples of a fresh run.
     """
 
     def __init__(
         self,
-        request: Request,
+        observer: Observer,
         key: RandomKey,
         kind: str,
         *,
@@ -69,46 +59,45 @@ class StatisticalCriterion:
         samples: int,
         verify_samples: int,
     ):
-        self.request, self.joint = request, kind == "yield"
+        super().__init__(observer)
+        self.joint = kind == "yield"
         # The cost of a yield has a sampling error of percents: digits beyond are not worth a round.
         self.settling = 10.0 if self.joint else 1.0
         self.statistic = "quantile" if self.joint else statistic
         self.coverage = coverage
         self.level = level if self.joint else float(norm.cdf(coverage))
-        self.aim, self.extra = self.level, np.zeros(len(request.limits))
+        self.aim, self.extra = self.level, np.zeros(len(self.request.limits))
         self.distribution, self.verify_samples = distribution(1.0), verify_samples
-        self.units = self._standard(sobol_units(len(request.sizes.errors), samples, key))
+        self.units = self.sizes.standard(self.distribution, sobol_units(len(self.sizes.errors), samples, key))
         self.good = np.ones(samples, dtype=bool)
         self.sampled: Sampled | None = None
         self.observed: HalfWidths | None = None
-        self.failed = 0
 
-    def _standard(self, units) -> Float[np.ndarray, "n k"]:
-        """Standard points of points (n, k) of the unit cube."""
-        return self.request.sizes.standard(self.distribution, units)
+    def _spread(self, t) -> jax.Array:
+        """The size (k,) of every coordinate."""
+        return jnp.asarray(self.sizes.spread(t))
 
     def _nominal(self) -> Sampled:
         """The quadratic model itself as expansions, all of them about the centre."""
-        q, n = self.request.quadratic, len(self.units)
+        q, n = self.quadratic, len(self.units)
         values = jnp.broadcast_to(q.offset, (n, *q.offset.shape))
         gradients = jnp.broadcast_to(q.gradient, (n, *q.gradient.shape))
         units = jnp.asarray(self.units)
         return Sampled(q, units, jnp.zeros_like(units), values, gradients)
 
     def model(self) -> Moments | Sample:
-        """Moments (RSS) or Sample (yield) as they are corrected so far."""
-        return self._sample_model() if self.joint else self._moments_model()
-
-    def _sample_model(self) -> Sample:
-        return Sample(*self._tail())
-
-    def _moments_model(self) -> Moments:
+        """Moments (RSS) or a sample (yield), as they are corrected so far."""
         sampled, weights = self._tail()
-        deviation = jnp.asarray(self.request.sizes.deviations(self.distribution))
+        if self.joint:
+            return Sample(sampled, weights)
+        return self._moments(None if self.sampled is None else sampled, weights)
+
+    def _moments(self, sampled: Sampled | None = None, weights: jax.Array | None = None) -> Moments:
+        """Those of the quadratic model alone where there are no samples."""
+        deviation = jnp.asarray(self.sizes.deviations(self.distribution))
         coverage, extra = jnp.asarray(float(self.coverage)), jnp.asarray(self.extra)
-        sampled = None if self.sampled is None else sampled
-        quadratic = self.request.quadratic
-        return Moments(quadratic, deviation, coverage, extra, sampled, weights, self.statistic)
+        weights = jnp.zeros(0) if weights is None else weights
+        return Moments(self.quadratic, deviation, coverage, extra, sampled, weights, self.statistic)
 
     def _tail(self) -> tuple[Sampled, jax.Array]:
         """The good samples that can matter to the statistic, and the weights of their order.
@@ -123,7 +112,7 @@ class StatisticalCriterion:
         weights = quantile_weights(count, self.aim * len(self.good) / count)
         if self.observed is None:
             return sampled, jnp.asarray(weights)
-        t = jnp.asarray(self.request.sizes.spread(self.observed))
+        t = self._spread(self.observed)
         kept = max(FEWEST, 8 * int(np.sum(weights > 1e-12))) * len(self.request.limits)
         nominal = np.asarray(self._nominal()(t))[self.good]
         h = np.concatenate([np.asarray(sampled(t)), nominal], axis=1)
@@ -136,7 +125,7 @@ class StatisticalCriterion:
 
     def _quantiles(self, sampled, t) -> Normalised:
         """The quantile (l,) of each limit alone, failed samples counted as bad."""
-        h = np.asarray(sampled(jnp.asarray(self.request.sizes.spread(t))))
+        h = np.asarray(sampled(self._spread(t)))
         bad = np.full((len(self.units) - len(h), h.shape[1]), np.nan)
         return np.array([sample_quantile(c, self.level) for c in np.concatenate([h, bad]).T])
 
@@ -144,76 +133,60 @@ class StatisticalCriterion:
         """h (l,) of the quadratic model alone."""
         if self.joint:
             return self._quantiles(self._nominal(), t)
-        return np.asarray(self._moments_model().moments(jnp.asarray(self.request.sizes.spread(t))))
+        return np.asarray(self._moments().moments(self._spread(t)))
 
     def predicted_yield(self, t: HalfWidths) -> float:
-        """Fraction of the standard points within all limits, by the corrected model."""
+        """Fraction of the standard points within all limits, by the corrected model; NaN but for a yield."""
+        if not self.joint:
+            return np.nan
         sampled = self._nominal() if self.sampled is None else self.sampled
-        h = np.asarray(sampled(jnp.asarray(self.request.sizes.spread(t))))
+        h = np.asarray(sampled(self._spread(t)))
         return float(np.sum(np.all(h <= 0, axis=1)) / len(self.units))
 
-    def solve(
-        self, x: Float[np.ndarray, " v"], lower: Float[np.ndarray, " v"], upper: Float[np.ndarray, " v"]
-    ) -> Answer:
-        """Cheapest x = log t on the model, from the start x (v,) and between lower and upper (v,)."""
+    def solve(self, x: HalfWidths, lower: HalfWidths, upper: HalfWidths) -> Answer:
+        """Cheapest x = log t on the model."""
         rounds, evaluations = (15, 300) if self.joint else (25, 1000)
-        start, low, high = map(jnp.asarray, (x, lower, upper))
-        owner = jnp.asarray(self.request.sizes.owner)
-        solution, unit, h = cheapest(self.model(), self.request.costs, owner, start, low, high, rounds, evaluations)
-        x, h = np.asarray(solution.point), np.asarray(h)
-        price = np.asarray(solution.multipliers) * float(unit)
+        x, cost, h, price = self._cheapest(self.model(), x, lower, upper, rounds=rounds, evaluations=evaluations)
         predicted = h
         if self.joint:
             # One multiplier for all limits: shared by how often each is worst near the quantile.
             price = price * self._shares(np.exp(x))
             predicted = self._quantiles(self.sampled or self._nominal(), np.exp(x))
-        cost = float(solution.cost) * float(unit)
         return Answer(x, cost, predicted, float(h.max()), price)
 
     def _shares(self, t) -> Normalised:
         """Share of each limit in the weights of the samples in which it is the worst one."""
-        model = self._sample_model()
-        h = np.asarray(model.sampled(jnp.asarray(self.request.sizes.spread(t))))
+        sampled, weights = self._tail()
+        h = np.asarray(sampled(self._spread(t)))
         order = np.argsort(np.max(h, axis=1), kind="stable")
         owner = np.argmax(h[order], axis=1)
-        weights = np.asarray(model.weights)
+        weights = np.asarray(weights)
         return np.array([weights[owner == i].sum() for i in range(h.shape[1])])
 
     def observe(self, t: HalfWidths, key: RandomKey) -> Float[np.ndarray, " constraints"]:
         """h of the full problem's statistic on the standard points (yield: of all limits together); its values and
         derivatives there become the model."""
-        request = self.request
-        spread = request.sizes.spread(t)
-        errors = self.units * spread
-        values, jacobians = request.linearise(errors)
-        h, gradients = request.normalise(values), request.normalise_jacobians(jacobians)
+        request, errors = self.request, self.units * self.sizes.spread(t)
+        values, jacobians = self.observer.linearise(self.variables.scattered(t, self.units))
+        h = request.normalise(values)
+        gradients = request.normalise_slopes(self.variables.by_coordinates(jacobians))
         self.good = np.all(np.isfinite(h), axis=1) & np.all(np.isfinite(gradients), axis=(1, 2))
         self.failed += int(np.sum(~self.good))
         if not np.any(self.good):
             return np.array([np.inf])
         self.observed = t
         arrays = (a[self.good] for a in (self.units, errors, h, gradients))
-        self.sampled = Sampled(request.quadratic, *map(jnp.asarray, arrays))
+        self.sampled = Sampled(self.quadratic, *map(jnp.asarray, arrays))
         if np.mean(self.good) < self.aim:
             return np.array([np.inf])
-        return np.asarray(self.model()(jnp.asarray(spread)))
+        return np.asarray(self.model()(self._spread(t)))
 
     def verify(self, t: HalfWidths, key: RandomKey) -> Verified:
-        """A fresh Monte Carlo run: statistic with interval, fraction of good samples with interval."""
-        units = np.asarray(jax.random.uniform(key, (self.verify_samples, self.units.shape[1]), minval=1e-12))
-        h, failed = self._sample(t, self._standard(units))
-        found = [self._estimate(column) for column in h.T]
-        values, low, high = (np.array(column) for column in zip(*found, strict=True))
-        fraction = estimate_yield(np.all(np.where(np.isfinite(h), h, np.inf) <= 0, axis=1))
-        interval = (fraction.low, fraction.high)
-        return Verified(values, low, high, fraction.value, interval, failed, ())
-
-    def _sample(self, t, units) -> tuple[Float[np.ndarray, "n l"], int]:
-        """h (n, l) of the full problem, NaN for failed samples, and their number."""
-        request = self.request
-        h = request.normalise(request.values(units * request.sizes.spread(t)))
-        failed = ~np.all(np.isfinite(h), axis=1)
-        return np.where(failed[:, None], np.nan, h), int(failed.sum())
+        """A fresh Monte Carlo run at t."""
+        return verify_sample(
+            self.observer, lambda z: self.variables.scattered(t, z), key, self.distribution, self.verify_samples,
+            self._estimate,
+        )  # fmt: skip
 
     def _estimate(self, h) -> tuple[float, float, float]:
         """Value, low and high end of the statistic of samples h (n,)."""
@@ -226,7 +199,7 @@ class StatisticalCriterion:
         return sample_quantile(h, self.level), low, high
 
     def learn(self, t: HalfWidths, fresh: Verified) -> None:
-        """Raise the aim by the shortfall of a fresh run at t (which cannot verify an answer any more)."""
+        """Raise the aim by the shortfall of a fresh run."""
         if self.joint:
             short = max(self.level - fresh.fraction, 0.0)
             self.aim = self.aim + min(short, 0.5 * (1 - self.aim))
@@ -235,19 +208,20 @@ class StatisticalCriterion:
 
     def best(self, key: RandomKey) -> Normalised:
         """The statistic h (l,) of the full problem at the smallest tolerances."""
-        t = self.request.lower
-        h, _ = self._sample(t, self.units)
-        full = np.array([self._estimate(column)[0] for column in h.T])
+        t = self.variables.width_lower
+        full = np.array([self._estimate(column)[0] for column in self._smallest().T])
         if self.joint:
             return full
         # As for the answer: few samples estimate the difference to the quadratic model's statistic well, the
         # statistic itself (three deviations away) badly.
-        spread = jnp.asarray(self.request.sizes.spread(t))
-        nominal = np.asarray(self._nominal()(spread))
+        nominal = np.asarray(self._nominal()(self._spread(t)))
         quadratic = np.array([self._estimate(column)[0] for column in nominal.T])
-        return full - quadratic + np.asarray(self._moments_model().moments(spread))
+        return full - quadratic + np.asarray(self._moments().moments(self._spread(t)))
 
     def best_yield(self) -> float:
-        """Fraction of the standard points within all limits at the smallest tolerances."""
-        h, _ = self._sample(self.request.lower, self.units)
-        return float(np.mean(np.all(np.where(np.isfinite(h), h, np.inf) <= 0, axis=1)))
+        """Fraction of the standard points within all limits at the smallest tolerances; NaN but for a yield."""
+        return float(np.mean(within(self._smallest()))) if self.joint else np.nan
+
+    def _smallest(self) -> Float[np.ndarray, "n l"]:
+        """h (n, l) of the full problem on the standard points, at the smallest tolerances."""
+        return sampled_limits(self.observer, self.variables.scattered(self.variables.width_lower, self.units))[0]

@@ -1,32 +1,23 @@
-"""Predictions of an allocation: limits on metrics as constraints h(t) <= 0 on the tolerances (theory (10.15) to
-(10.17)).
+"""Models of limits: constraints h(t) <= 0 on the tolerances of an allocation (theory (10.15) to (10.17)).
 
-Place in the pipeline: under the allocation; differentiable models (quadratic, with corrections from the full problem)
-that the augmented Lagrangian solves on. They are pytrees: new numbers do not compile again. Their t (k,) has the size
-of every coordinate: those of one zone have the same.
+Place in the pipeline: under the corrected model; differentiable models (quadratic, with corrections from the full
+problem) that the augmented Lagrangian solves on. They are pytrees: new numbers do not compile again. Their t (k,) has
+the size of every coordinate: those of one zone have the same.
 
-    h = s (f - limit) / headroom                 s = 1 for an upper limit, -1 for a lower one
     Scenarios    h_j(t) = F_j + D_j.d + 1/2 d^T H d,   d = t z_j - e_j            (worst case)
     Sampled      h_il(t) the same at fixed standard points u_i, for every limit l
     Moments      h_l(t) = k1 + c sqrt(k2) + (c^2 - 1)/6 k3/k2 + correction_l(t)   (RSS)
     Sample       h(t) = quantile over samples i of max_l h_il(t)                  (yield)
 
-Scenarios: the semi-infinite constraint "for all z of the box" on the finitely many z_j found so far (Blankenship,
-Falk, J. Optim. Theory Appl. 19 (1976) 261-281); F, D are value and gradient of the full problem at the anchor e_j (at
-first the nominal point: then h is the quadratic model itself).
-Moments: cumulants k1, k2, k3 of a quadratic form in normal errors of covariance S, k1 = f + 1/2 tr(HS),
-k2 = g.Sg + 1/2 tr((HS)^2), k3 = 3 g.SHSg + tr((HS)^3), and the Cornish-Fisher quantile to third order at c standard
-deviations. For a linear metric it is the root sum of squares f + c sqrt(sum (g_i sigma_i)^2) exactly; for an even one
-(chi-square-like, skewed) the k3 term matters. The correction is the sample quantile (mean) of the full problem's
-expansion minus that of the quadratic model at the same standard points, so that the sample's own error cancels to
-first order.
-Sample: fixed standard points u_i (common random numbers) scaled by t, expanded like scenarios; the quantile is Harrell
-and Davis's weighted mean of order statistics (Biometrika 69 (1982) 635-640): smooth in t but for ties of neighbours,
-and with less scatter than one order statistic.
+F, D are value and gradient of the full problem at the anchor e_j (at first the nominal point: then h is the quadratic
+model itself). For a linear metric Moments is the root sum of squares exactly; for an even one (chi-square-like, skewed)
+the term of k3 matters. Its correction is the sample quantile (mean) of the full problem's expansion minus that of the
+quadratic model at the same standard points, so that the sample's own error cancels to first order. The quantile of
+Sample is a weighted mean of order statistics (Harrell and Davis, Biometrika 69 (1982) 635-640): smooth in t but for
+ties of neighbours, and with less scatter than one order statistic.
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -36,8 +27,8 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy.stats import beta
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.tolerancing.allocation.cost_models import CostModel, total_cost
 from rfem_jax.tolerancing.optimisation.augmented_lagrangian import Solution, minimise
+from rfem_jax.tolerancing.robust_design.cost_models import CostModel, total_cost
 
 INSIDE = 1e-7  # answers lie this part of the headroom inside their limits (above solver error)
 
@@ -147,6 +138,9 @@ class Sample(eqx.Module):
         return (self.weights @ jnp.sort(jnp.max(self.sampled(t), axis=1)))[None]
 
 
+Model = Scenarios | Moments | Sample
+
+
 def quantile_weights(n: int, level: float) -> Float[np.ndarray, " n"]:
     """Harrell-Davis weights (n,) of the order statistics for the quantile `level`.
 
@@ -169,33 +163,9 @@ def sample_quantile(h: Float[np.ndarray, " n"], level: float) -> float:
     return float(quantile_weights(len(good), level * len(h) / len(good)) @ good)
 
 
-class Answer(NamedTuple):
-    """Solution on a model: x = log t (v,), cost, h (l,) per limit, the largest constraint, and dcost/dh (l,) per
-    limit."""
-
-    x: Float[np.ndarray, " v"]
-    cost: float
-    h: Float[np.ndarray, " l"]
-    violation: float
-    prices: Float[np.ndarray, " l"]
-
-
-class Verified(NamedTuple):
-    """A fresh run at t: h (l,) with confidence interval; fraction of good samples with interval (NaN if not sampled);
-    number of failures; the worst cases (`WorstCase`; none if sampled)."""
-
-    h: Float[np.ndarray, " l"]
-    low: Float[np.ndarray, " l"]
-    high: Float[np.ndarray, " l"]
-    fraction: float
-    fraction_interval: tuple[float, float]
-    failed: int
-    worst: tuple[Any, ...]
-
-
 @Program
 def cheapest(
-    model: Scenarios | Moments | Sample,
+    model: Model,
     costs: Sequence[CostModel],
     owner: Int[Array, " k"],
     x: Float[Array, " v"],
