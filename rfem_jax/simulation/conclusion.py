@@ -39,7 +39,7 @@ class LoadSummary(NamedTuple):
 
 
 class Conclusion(NamedTuple):
-    """What a simulation ends with.
+    """Results of a simulation by index; `run_of` makes a `Run` with names of them.
 
     record: at the saved `times` [s]; ball_angles: rotation vectors (times, 3)
     [rad] of tree joints that turn about any axis, by link; the others as fields of `Run`.

@@ -55,8 +55,8 @@ def _of_drives() -> list[str]:
 
 
 def deviation_dimension(mechanism: Mechanism, name: str) -> str:
-    """Dimension of a deviation, a key of `units.DIMENSIONS`; raises as `require_deviation`, but for what is called
-    like a number of a drive."""
+    """Dimension of a deviation, a key of `units.DIMENSIONS`; raises as `require_deviation`; parameters of
+    drives are accepted."""
     known = parameters_of(mechanism)
     if name not in mechanism.error_names and name not in known:
         of_drive = drive_number_dimension(name)

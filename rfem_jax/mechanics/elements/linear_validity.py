@@ -26,7 +26,7 @@ REMARKABLE_LINEAR_ERROR = 0.02
 
 
 class LinearRange(NamedTuple):
-    """What linear elements leave out at one instant: rotation, relative to deflections, by rotations; shortening
+    """Terms that linear elements neglect at one instant: rotation, relative to deflections, by rotations; shortening
     (links,) [J], twice the work of axial forces as links bend, beside stored (links,) [J], twice the energy of
     bending."""
 

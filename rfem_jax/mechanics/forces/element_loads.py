@@ -32,7 +32,7 @@ class Exerted(NamedTuple):
 
 
 class FrameLoads(NamedTuple):
-    """What all elements exert at one instant.
+    """Loads of all elements at one instant.
 
     exerted: by their names; force [N], moment [N m] (3, nodes): on all nodes at their reference points, in the axes of
     their links; wrench (6,): on all nodes together at the global origin; dissipated, power [W]: of the dampers, and of

@@ -29,8 +29,8 @@ FrictionStates = dict[str, FrictionState]
 
 
 class Ahead(NamedTuple):
-    """How friction is taken at a later rate than that of the state: a time [s], accelerations of the joint coordinates,
-    and spatial ones (6,) of the nodes, by node (theory (12.10))."""
+    """Data with which friction is evaluated at a later rate than that of the state: a time [s], accelerations of the
+    joint coordinates, and spatial ones (6,) of the nodes, by node (theory (12.10))."""
 
     time: Scalar
     joints: Float[Array, " freedoms"]

@@ -41,7 +41,7 @@ class FrictionState(NamedTuple):
 
 
 class LawForces(NamedTuple):
-    """What springs, dampers, friction and laws exert at one instant.
+    """Forces of springs, dampers, friction and laws at one instant.
 
     inside, outside: forces [N, N m] by joint coordinate, of springs with dampers and friction, and of laws; dissipated,
     power [W]: of the dampers and friction, and of the laws whose work is not known by their positions; cuts: of

@@ -72,8 +72,8 @@ class ClosureMatrix(NamedTuple):
 
 
 class SpringRows(NamedTuple):
-    """Which multipliers are those of springs; by row the root of the springs' tangent, 1 where there is none; the
-    multipliers' matrix (theory (13.9))."""
+    """Rows of the closure that are laws of springs. sprung: whether a multiplier is one; root: by row the root
+    of the springs' tangent, 1 in all other rows; matrix: that of the multipliers (theory (13.9))."""
 
     sprung: Bool[Array, " multipliers"]
     root: Float[Array, " multipliers"]

@@ -110,7 +110,7 @@ class Closure(NamedTuple):
 
     @property
     def sprung_rows(self) -> tuple[bool, ...]:
-        """Which equations are laws of springs, cut by cut; () if none is."""
+        """For every equation, cut by cut, whether it is the law of a spring; () for models without such springs."""
         if self.springs is None:
             return ()
         by_cut = {i: group.sprung or (False,) * group.residual.shape[0] for group in self.groups for i in group.members}

@@ -120,7 +120,8 @@ def _unit_wrenches(topology: Topology, cuts: Closure) -> list[Array]:
 
 
 def _passed_on(topology: Topology, wrenches: Mapping[int, Array], nodes: Sequence[int]) -> Array:
-    """What bodies pass on of what their joints outboard exert on them."""
+    """Wrenches (6, constraints) of unit multipliers that bodies pass on to their inboard joint, from their other
+    joints, cut ones included."""
     total = jnp.zeros((6, topology.n_constraints))
     for j, wrench in wrenches.items():
         if topology.parents[j] in nodes:

@@ -25,7 +25,7 @@ IMPROVEMENTS = 8
 
 
 class NormalLoad(eqx.Module):
-    """How friction depends on the load across the axis.
+    """Parameters by which friction depends on the load across the axis.
 
     arm, static_arm: coefficients of friction times the pin's radius [m], along an axis the coefficients alone; length
     [m] of the bearing, None where moments do not press; scale [N]: below it the load is rounded off.

@@ -60,7 +60,7 @@ class State(eqx.Module):
 
 
 class Topology(NamedTuple):
-    """What is connected to what; hashable, the static part of a model.
+    """How links and joints are connected: the static, hashable part of a model.
 
     links: names of the links, by their depth in the tree, else in the order of the description.
     joints: names of the joints, the tree joints in the order of their links, then the cut joints.

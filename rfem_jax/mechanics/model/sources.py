@@ -43,7 +43,7 @@ NOTHING = float("nan")
 
 @dataclass(frozen=True, eq=False)
 class Blueprint:
-    """What of a description is no number that may change; equal to others of equal content.
+    """A description without its numbers that may change; equal to others of equal content.
 
     parts: with nothing in the places of the parameters; names: of all parameters, in the order of the numbers; points:
     nodes of the ends of the forces at points, by their names; products: whether point masses have products of inertia;

@@ -200,7 +200,7 @@ def _joint_transforms(actual: ModelWithErrors, position: Coordinates, change: Co
 
 
 def _displacement(relative: Array, motions: tuple[str, ...], axis: int | None, universal: bool) -> Array:
-    """What a compliant joint's spring acts on, from the transform over the joint: displacements along the parent's
+    """Displacement of a compliant joint's spring, from the transform over the joint: displacements along the parent's
     axes; the vector of the tilt between two axes, as long as its angle; or one angle."""
     if motions[0][0] == "T":
         return jnp.stack([relative["xyz".index(motion[-1]), 3] for motion in motions])
@@ -356,8 +356,8 @@ def reference_accelerations(
     stabilisation: Stabilisation,
     applied: Float[Array, " coordinates"] | None = None,
 ) -> tuple[Coordinates, Float[Array, " constraints"]]:
-    """Second derivatives of the coordinates and multipliers [N] but those of springs, from the dense system; `applied`:
-    more forces, flat."""
+    """Second derivatives of the coordinates, and multipliers [N] without those of springs, from the dense system;
+    `applied`: more forces, flat."""
     topology = actual.topology
     qd, unravel = ravel_pytree(state.velocity)
     # Changes from the present position are coordinates of which there are as many as rates.

@@ -138,7 +138,7 @@ def _cut_wrenches(
         frictions = [(law.component, friction[i]) for i, (_, law) in enumerate(laws) if law.joint == joint]
 
         def work(twist, moved, joint=joint, rows=rows, frictions=frictions):
-            """Of a small displacement of one node, all forces as they are."""
+            """Work [J] of all forces, held constant, over a small displacement of one node."""
             now = {node: frames[node] for node in {topology.parents[joint], topology.children[joint]} - {BASE}}
             left, right = joint_frames(actual, now, joint)
             at_rest = jnp.linalg.inv(left) @ right

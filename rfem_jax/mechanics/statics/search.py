@@ -60,7 +60,7 @@ class Equations(NamedTuple):
 def chord(
     equations: Equations, preconditioner: Linear, rows: Float[Array, " n"], start: Float[Array, " n"], args: Any
 ) -> tuple[Float[Array, " n"], Bool[Array, ""]]:
-    """Unknowns and whether they were found by the chord method (Newton's with a constant matrix, here
+    """Unknowns and whether the search converged, by the chord method (Newton's with a constant matrix, here
     `preconditioner` for its inverse), where that does not converge by Newton's method from the start.
 
     `rows`: sums of the absolute entries of the matrix by row, of an unloaded mechanism.

@@ -43,7 +43,7 @@ Unknowns = NewtonIncrement  # accelerations and multipliers, as the increments t
 
 
 class Following(NamedTuple):
-    """How the steps so far have followed contacts: changes, how often one has closed or opened; exhausted: whether a
+    """Record of how steps have followed contacts: changes, how often one has closed or opened; exhausted: whether a
     step was tried in too many parts; length [s] of the last part, zero at the start."""
 
     changes: Float[Array, ""]
@@ -52,7 +52,7 @@ class Following(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """What an implicit method remembers from step to step besides the trajectory.
+    """Memory of an implicit method from step to step, besides the trajectory.
 
     accelerations v' of the coordinates; auxiliary: the method's own accelerations a; multipliers [N]; rates: time
     derivatives of the integrals; residual [N]: largest force that the residual of the last step has, and
@@ -81,7 +81,7 @@ class StepStart(NamedTuple):
 
 
 class StepConstants(NamedTuple):
-    """What a step needs besides its start, without derivatives: its end [s] and length [s]; largest_force [N] that a
+    """Constants of a step, which have no derivatives: its end [s] and length [s]; largest_force [N] that a
     joint has carried so far."""
 
     end: Scalar
