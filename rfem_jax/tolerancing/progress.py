@@ -1,7 +1,8 @@
 """Progress of a long study: a bar with rate and remaining time.
 
-Place in the pipeline: used by the Monte Carlo study and by sensitivities. Shown with tqdm if it is installed, else as
-one line on standard error at most every `EVERY` seconds; or told to the user's own `function(done, total)`.
+Place in the pipeline: used by all studies that count samples or directions. Shown with tqdm if it is installed, else
+as one line on standard error at most every `EVERY` seconds; or told to a `function(done, total)`, as that by which
+commands show a stage (`report.tasks.task_report.as_stage`).
 """
 
 import sys

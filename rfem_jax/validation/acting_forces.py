@@ -5,10 +5,11 @@ Place in the pipeline: a benchmark of `catalogue`. Reference values: `references
 
 import numpy as np
 
-from rfem_jax.description import Joint, JointForceTable, Mechanism, PointForce, PointSpring, PrescribedRate, RungeKutta4
+from rfem_jax.description import Joint, JointForceTable, Mechanism, PointForce, PointSpring, RungeKutta4
 from rfem_jax.mechanics.dynamics.loads import static_state
 from rfem_jax.mechanics.model.discretisation import discretise
 from rfem_jax.simulation import Run, Simulation, simulate
+from rfem_jax.validation import rigid_links
 from rfem_jax.validation.joint_cases import Shares, checked
 from rfem_jax.validation.lines import Line, Outcome, Progress, absolute
 from rfem_jax.validation.reference_values import read_reference
@@ -23,20 +24,10 @@ ANGLE = float(np.radians(20.0))  # of the pendulum at the start
 
 def slider_crank() -> Mechanism:
     """Rigid links; the guide's point on the piston is where the gas acts, 20 mm before the wrist pin and 8 mm above."""
-    links = (
-        body("crank", 0.06, 0.4, (0.02, 0, 0.003), (1.5e-4, 3e-4, 2.5e-4)),
-        body("piston", 0.05, 0.5, (0.012, 0, 0.006), (3e-4, 4e-4, 3.5e-4)),
-        body("rod", 0.2, 0.35, (0.07, 0, 0.004), (1e-4, 1.6e-3, 1.55e-3)),
-    )
-    joints = (
-        Joint("A", "base", "crank"),
-        Joint("G", "base", "piston", kind="prismatic", position=(0, 0, 0.018), child_position=(0.02, 0, 0.008),
-              displacement=0.28),
-        Joint("C", "piston", "rod", kind="cylindrical", position=(0, 0, 0), child_position=(0.2, 0, 0)),
-        Joint("B", "crank", "rod", kind="spherical", cut=True, child_position=(0, 0, 0)),
-    )  # fmt: skip
+    guide = Joint("G", "base", "piston", kind="prismatic", position=(0, 0, 0.018), child_position=(0.02, 0, 0.008),
+                  displacement=0.28)  # fmt: skip
     gas = JointForceTable("gas", "G", [0.16, 0.19, 0.22, 0.25, 0.28], [-900, -400, -150, 0, 0])
-    return Mechanism(links, joints, driven_joint="A", forces=(gas,))
+    return rigid_links.slider_crank(guide, (gas,))
 
 
 def pendulum() -> Mechanism:
@@ -52,17 +43,7 @@ def pendulum() -> Mechanism:
 
 def run_gas() -> Run:
     """One turn at a constant rate."""
-    period = 2.0 * np.pi / RATE
-    method = RungeKutta4(step=period / 2000)
-    return simulate(
-        Simulation(
-            discretise(slider_crank()),
-            drive=PrescribedRate("A", RATE),
-            duration=period,
-            method=method,
-            save_every=period / 40,
-        )
-    )
+    return rigid_links.one_turn(slider_crank(), RATE, 2000)
 
 
 def run_pendulum() -> Run:

@@ -3,19 +3,31 @@
 Place in the pipeline: serves the benchmarks of joints of other kinds than revolute.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.description import GivenSection, Link, RigidBody
+from rfem_jax.description import (
+    GivenSection,
+    Joint,
+    JointForceTable,
+    Link,
+    Mechanism,
+    PrescribedRate,
+    RigidBody,
+    RungeKutta4,
+)
 from rfem_jax.mechanics.kinematics.motion import motion_of
+from rfem_jax.mechanics.model.discretisation import discretise
 from rfem_jax.mechanics.model.errors import assembly_errors
 from rfem_jax.mechanics.model.model import Coordinates, Model, State
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics.assembly import held_angles, moving_equilibrium
+from rfem_jax.simulation import Run, Simulation, simulate
 
 # The section of a link whose mass is that of bodies on it: next to nothing.
 MASSLESS = GivenSection(1e6, 1e6, 1e6, 1e2, 1e2, 1e2, 1e-9, 1e-15, 1e-15, 1e-15)
@@ -33,6 +45,37 @@ def cylinder(name: str, length: float, diameter: float, density: float) -> Link:
     mass, radius = density * np.pi * diameter**2 / 4.0 * length, diameter / 2.0
     across = mass * (length**2 + 3.0 * radius**2) / 12.0
     return body(name, length, mass, (length / 2.0, 0.0, 0.0), (mass * radius**2 / 2.0, across, across))
+
+
+def slider_crank(guide: Joint, forces: tuple[JointForceTable, ...] = ()) -> Mechanism:
+    """Crank, rod and piston with its guide; spherical crank pin and cylindrical wrist pin leave no redundant rows."""
+    links = (
+        body("crank", 0.06, 0.4, (0.02, 0, 0.003), (1.5e-4, 3e-4, 2.5e-4)),
+        body("piston", 0.05, 0.5, (0.012, 0, 0.006), (3e-4, 4e-4, 3.5e-4)),
+        body("rod", 0.2, 0.35, (0.07, 0, 0.004), (1e-4, 1.6e-3, 1.55e-3)),
+    )
+    joints = (
+        Joint("A", "base", "crank"),
+        guide,
+        Joint("C", "piston", "rod", kind="cylindrical", position=(0, 0, 0), child_position=(0.2, 0, 0)),
+        Joint("B", "crank", "rod", kind="spherical", cut=True, child_position=(0, 0, 0)),
+    )
+    return Mechanism(links, joints, driven_joint="A", forces=forces)
+
+
+def one_turn(mechanism: Mechanism, rate: float, steps: int, start: Callable[[Model], Any] = lambda model: None) -> Run:
+    """One turn of A at a constant rate [rad/s], of which 40 times are saved."""
+    model, period = discretise(mechanism), 2.0 * np.pi / rate
+    return simulate(
+        Simulation(
+            model,
+            drive=PrescribedRate("A", rate),
+            duration=period,
+            method=RungeKutta4(step=period / steps),
+            save_every=period / 40,
+            start=start(model),
+        )
+    )
 
 
 def _three(values: Sequence[float]) -> tuple[float, float, float]:

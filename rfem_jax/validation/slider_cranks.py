@@ -15,7 +15,6 @@ from rfem_jax.description import (
     Mechanism,
     MomentRamp,
     PrescribedFunction,
-    PrescribedRate,
     Rectangle,
     RungeKutta4,
 )
@@ -26,7 +25,7 @@ from rfem_jax.simulation.driving import Drive
 from rfem_jax.validation.joint_cases import Shares, checked
 from rfem_jax.validation.lines import Line, Outcome, Progress, relative
 from rfem_jax.validation.reference_values import read_reference
-from rfem_jax.validation.rigid_links import body
+from rfem_jax.validation.rigid_links import body, one_turn, slider_crank
 
 REFERENCE = read_reference("slider_cranks")
 RIGID = Shares(rms=1e-7, instant=1e-7, motion=1e-9)
@@ -41,19 +40,8 @@ RISE, TURNING = 0.1, 40.0  # s, rad/s, of the prescribed angle
 
 
 def rigid() -> Mechanism:
-    """Crank, rod and piston; spherical crank pin and cylindrical wrist pin leave no redundant rows."""
-    links = (
-        body("crank", 0.06, 0.4, (0.02, 0, 0.003), (1.5e-4, 3e-4, 2.5e-4)),
-        body("piston", 0.05, 0.5, (0.012, 0, 0.006), (3e-4, 4e-4, 3.5e-4)),
-        body("rod", 0.2, 0.35, (0.07, 0, 0.004), (1e-4, 1.6e-3, 1.55e-3)),
-    )
-    joints = (
-        Joint("A", "base", "crank"),
-        Joint("G", "base", "piston", kind="prismatic", position=(0, 0, 0.01), displacement=0.26),
-        Joint("C", "piston", "rod", kind="cylindrical", position=(0, 0, 0), child_position=(0.2, 0, 0)),
-        Joint("B", "crank", "rod", kind="spherical", cut=True, child_position=(0, 0, 0)),
-    )
-    return Mechanism(links, joints, driven_joint="A")
+    """The crank's axis is 10 mm beside the guide."""
+    return slider_crank(Joint("G", "base", "piston", kind="prismatic", position=(0, 0, 0.01), displacement=0.26))
 
 
 def flexible(elements: str = "geometrically_exact") -> Mechanism:
@@ -77,13 +65,7 @@ def flexible(elements: str = "geometrically_exact") -> Mechanism:
 
 def run_rigid() -> Run:
     """One turn at a constant rate."""
-    period = 2.0 * np.pi / RATE
-    method = RungeKutta4(step=period / 1000)
-    return simulate(
-        Simulation(
-            discretise(rigid()), drive=PrescribedRate("A", RATE), duration=period, method=method, save_every=period / 40
-        )
-    )
+    return one_turn(rigid(), RATE, 1000)
 
 
 def smooth_turning(t, phase):

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from rfem_jax.description import Joint, Link, Material, Mechanism, MomentRamp, PrescribedRate, Rectangle, RungeKutta4
+from rfem_jax.description import Joint, Link, Material, Mechanism, MomentRamp, Rectangle, RungeKutta4
 from rfem_jax.mechanics.model.discretisation import discretise
 from rfem_jax.simulation import Run, Simulation, simulate
 from rfem_jax.validation.joint_cases import Shares, checked
@@ -20,6 +20,7 @@ from rfem_jax.validation.rigid_links import (
     Axes,
     angles_of,
     body,
+    one_turn,
     rate_of,
     start_at_rate,
     start_without_spin,
@@ -158,18 +159,7 @@ def rsrc() -> Mechanism:
 
 def run_rssr() -> Run:
     """One turn at a constant rate."""
-    model, period = discretise(rssr()), 2.0 * np.pi / RATE
-    start = start_without_spin(model, rate_of(RATE))
-    return simulate(
-        Simulation(
-            model,
-            drive=PrescribedRate("A", RATE),
-            duration=period,
-            method=RungeKutta4(step=period / 1000),
-            save_every=period / 40,
-            start=start,
-        )
-    )
+    return one_turn(rssr(), RATE, 1000, lambda model: start_without_spin(model, rate_of(RATE)))
 
 
 def run_with_ramp(mechanism: Mechanism, moment: float, duration: float, step: float) -> Run:

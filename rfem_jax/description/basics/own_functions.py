@@ -1,6 +1,6 @@
 """Functions of the user's own, written in JAX: how they are checked, and made pytrees.
 
-Place in the pipeline: errors -> **own_functions** -> drive_arguments, forces, point_forces.
+Place in the pipeline: errors -> **own_functions** -> drives.arguments, forces, point_forces.
 """
 
 from collections.abc import Callable, Hashable

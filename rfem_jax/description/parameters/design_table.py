@@ -1,6 +1,6 @@
 """The design of a study: other values for numbers of its mechanism and drives, or bounds of them; the table [design].
 
-Place in the pipeline: parameters, drive_numbers -> **design_table** -> study.
+Place in the pipeline: parameters, numbers_by_name -> **design_table** -> study.
 """
 
 from collections.abc import Sequence

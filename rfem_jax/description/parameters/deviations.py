@@ -1,7 +1,7 @@
 """Deviations that cases, tolerances and tasks give numbers to: assembly errors, parameters of a mechanism, and numbers
 of drives.
 
-Place in the pipeline: mechanism, parameters, drive_numbers -> **deviations** -> study, tasks, reports.
+Place in the pipeline: mechanism, parameters, numbers_by_name -> **deviations** -> study, tasks, reports.
 
 An error deviates from zero, a parameter from its value in the description or in a design. A name that both have, as
 "coupler.length", is the error, which means the same. Numbers of drives deviate in tolerances and tasks, not in cases,

@@ -92,8 +92,8 @@ class FoundTolerancesTask(Task):
         missing = [name for name in self.bounds if name not in self.costs]
         if missing:
             raise InputError(
-                f"Argument `costs` must have a cost for every error with bounds, but that of `{missing[0]}` is missing; "
-                "add it."
+                "Argument `costs` must have a cost for every error with bounds, but that of "
+                f"`{missing[0]}` is missing; add it."
             )
         unscaled = {name: self.costs[name] for name in self.bounds if self.costs[name].at is None}
         scaled = {name: replace(one, at=self.bounds[name][1]) for name, one in unscaled.items()}

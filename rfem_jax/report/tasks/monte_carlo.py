@@ -16,7 +16,6 @@ from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.monte_carlo import MonteCarloTask
 from rfem_jax.description.tolerances.error_catalogue import as_specified
 from rfem_jax.report.annotations import Axes, Figure
-from rfem_jax.report.output import write_csv
 from rfem_jax.report.style import (
     BAR_COLOURS,
     CASE_COLOURS,
@@ -28,7 +27,7 @@ from rfem_jax.report.style import (
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.sampled_report import SampledReport
 from rfem_jax.report.tasks.sobol_bars import sobol_figure
-from rfem_jax.report.tasks.task_files import metric_units, write_task_json
+from rfem_jax.report.tasks.task_files import metric_units
 from rfem_jax.report.tasks.task_report import GRADIENT, as_stage
 from rfem_jax.text_layout import size_text
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
@@ -94,10 +93,7 @@ class MonteCarloReport(SampledReport[MonteCarloTask, MonteCarloResult]):
             "control_note": result.control_note,
             "units": metric_units(result.metrics, result.metric_units),
         }
-        return [
-            write_task_json(folder / "monte_carlo.json", self.study, self.name, content),
-            write_csv(folder / "monte_carlo.csv", result.rows()),
-        ]
+        return self.write_both(folder, content, result.rows())
 
     def simulations(self) -> list[str]:
         specified, count, gradients = self.tolerances, *self._numbers()

@@ -13,10 +13,9 @@ from rfem_jax.compilation.stages import on_stage
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.reliability import ReliabilityTask
 from rfem_jax.report.annotations import Figure
-from rfem_jax.report.output import write_csv
 from rfem_jax.report.style import BAR_COLOURS, HATCHES, add_titles, new_figure
 from rfem_jax.report.tasks import study_problem
-from rfem_jax.report.tasks.task_files import metric_units, write_task_json
+from rfem_jax.report.tasks.task_files import metric_units
 from rfem_jax.report.tasks.task_report import GRADIENT, TaskReport
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.rare_failures.failure_result import ReliabilityResult
@@ -55,10 +54,7 @@ class ReliabilityReport(TaskReport[ReliabilityTask, ReliabilityResult]):
             "confidence": result.confidence,
             "units": metric_units([one.metric for one in result.limits], [one.unit for one in result.limits]),
         }
-        return [
-            write_task_json(folder / "reliability.json", self.study, self.name, content),
-            write_csv(folder / "reliability.csv", result.rows()),
-        ]
+        return self.write_both(folder, content, result.rows())
 
     def simulations(self) -> list[str]:
         task, ends = self.task, self._ends()

@@ -28,8 +28,9 @@ class SampledReport(TaskReport[Asked, Result]):
         """What is sampled, by which its folder is known before there is a problem."""
 
     def require_folder(self, folder: Path) -> None:
+        task: Any = self.task  # with metrics
         with self.folder_in_words(folder):
-            self.samples().require_folder(folder / self.name, self.task.metrics, describe_study(self.study))
+            self.samples().require_folder(folder / self.name, task.metrics, describe_study(self.study))
 
     @contextmanager
     def folder_in_words(self, folder: Path) -> Iterator[None]:

@@ -16,10 +16,9 @@ from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.sensitivity import SensitivityTask
 from rfem_jax.description.tolerances.error_catalogue import as_specified
 from rfem_jax.report.annotations import Figure
-from rfem_jax.report.output import write_csv
 from rfem_jax.report.style import BAR_COLOURS, HATCHES, add_titles, new_figure, panel_grid
 from rfem_jax.report.tasks import study_problem
-from rfem_jax.report.tasks.task_files import metric_units, write_task_json
+from rfem_jax.report.tasks.task_files import metric_units
 from rfem_jax.report.tasks.task_report import GRADIENT, TaskReport, as_stage
 from rfem_jax.text_layout import align_columns, wrap_lines
 from rfem_jax.tolerancing.contributions import VarianceShares
@@ -90,10 +89,7 @@ class SensitivityReport(TaskReport[SensitivityTask, Derivatives]):
             "metrics": {metric: _metric_content(found, m) for m, metric in enumerate(found.metrics)},
             "units": metric_units(found.metrics, found.metric_units),
         }
-        return [
-            write_task_json(folder / "sensitivity.json", self.study, self.name, content),
-            write_csv(folder / "sensitivity.csv", found.rows()),
-        ]
+        return self.write_both(folder, content, found.rows())
 
     def simulations(self) -> list[str]:
         twice = ", and another with the finer step" if self.twice else ""

@@ -17,12 +17,11 @@ from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.sweep import SweepTask
 from rfem_jax.description.tolerances.error_catalogue import as_specified
 from rfem_jax.report.annotations import Axes, Figure
-from rfem_jax.report.output import write_csv
 from rfem_jax.report.overview import format_error
 from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles, new_figure, panel_grid
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.sampled_report import SampledReport
-from rfem_jax.report.tasks.task_files import metric_units, write_task_json
+from rfem_jax.report.tasks.task_files import metric_units
 from rfem_jax.report.tasks.task_report import as_stage
 from rfem_jax.tolerancing.designs.response_surface import ResponseSurface
 from rfem_jax.tolerancing.designs.sweep_study import SweepResult, sweep_samples
@@ -71,10 +70,7 @@ class SweepReport(SampledReport[SweepTask, SweepResult]):
             "surface_note": result.surface_note or None,
             "units": metric_units(result.metrics, result.metric_units),
         }
-        return [
-            write_task_json(folder / "sweep.json", self.study, self.name, content),
-            write_csv(folder / "sweep.csv", result.rows()),
-        ]
+        return self.write_both(folder, content, result.rows())
 
     def simulations(self) -> list[str]:
         count = int(self.work())

@@ -22,11 +22,13 @@ from rfem_jax.description.tasks.task import Task
 from rfem_jax.description.tolerances.tolerances import SpecifiedTolerances
 from rfem_jax.description.tolerances.zones import SpecifiedZone
 from rfem_jax.report.annotations import Figure
+from rfem_jax.report.output import write_csv
 from rfem_jax.report.overview import format_error
 from rfem_jax.report.pictures import drawn, write_pictures
 from rfem_jax.report.progress_line import show
 from rfem_jax.report.style import SETTINGS
 from rfem_jax.report.tables import notes_text, title_text
+from rfem_jax.report.tasks.task_files import write_task_json
 from rfem_jax.tolerancing.problems.kept_evaluations import kept_in
 from rfem_jax.tolerancing.problems.results_store import count_chunks
 from rfem_jax.tolerancing.problems.sharing import process_index
@@ -71,6 +73,13 @@ class TaskReport(abc.ABC, Generic[Asked, Result]):
     @abc.abstractmethod
     def write(self, folder: Path, result: Result) -> list[Path]:
         """Write the result into `folder`; returns the files. Raises: OSError."""
+
+    def write_both(self, folder: Path, content: dict[str, Any], rows: list[dict[str, Any]]) -> list[Path]:
+        """Write NAME.json, with what was asked for beside `content`, and NAME.csv of the rows. Raises: OSError."""
+        return [
+            write_task_json(folder / f"{self.name}.json", self.study, self.name, content),
+            write_csv(folder / f"{self.name}.csv", rows),
+        ]
 
     def draw(self, result: Result) -> dict[str, Figure]:
         """{name: picture}; the files are called "<name of the task>_<name>.png". None unless a kind has some."""

@@ -14,10 +14,8 @@ from rfem_jax.compilation.stages import on_stage
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.worst_case import WorstCaseTask
 from rfem_jax.report.annotations import Figure
-from rfem_jax.report.output import write_csv
 from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles, new_figure
 from rfem_jax.report.tasks import study_problem
-from rfem_jax.report.tasks.task_files import write_task_json
 from rfem_jax.report.tasks.task_report import GRADIENT, TaskReport
 from rfem_jax.tolerancing.layout import show_number
 from rfem_jax.tolerancing.optimisation.starting_points import EXHAUSTIVE
@@ -81,10 +79,7 @@ class WorstCaseReport(TaskReport[WorstCaseTask, dict[str, WorstCase]]):
             rows += one.rows()
         units = {name: one.unit or "1" for name, one in result.items()}
         content = {"metrics": metrics, "units": units}
-        return [
-            write_task_json(folder / "worst_case.json", self.study, self.name, content),
-            write_csv(folder / "worst_case.csv", rows),
-        ]
+        return self.write_both(folder, content, rows)
 
     def simulations(self) -> list[str]:
         task, errors = self.task, len(self.tolerances.names)

@@ -5,7 +5,8 @@ metrics             numbers of a run
 simulated_problem   the simulator as a problem
 distributions       of the errors within their tolerances
 sample_values       values of many samples at once
-evaluation          at points and along them; execution: in batches over devices; results_store: kept as it goes
+evaluation          at points, and the loop that fills programs; execution: in chunks, over devices and processes
+results_store       a folder of chunks; kept_evaluations: of all that an interrupted study has evaluated
 linearisation       first derivatives at many points; reproduction: where pins strike, a finer step must have the same
 quadratic_model     second-order expansions
 """
