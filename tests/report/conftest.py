@@ -202,11 +202,19 @@ def study(study_file):
     return load_study(study_file)
 
 
+def synthetic_runs():
+    return {"P1": synthetic_run(0.0), "P2": synthetic_run(2.0), "P3": synthetic_run(1.0)}
+
+
+def all_complete():
+    return dict.fromkeys(("P1", "P2", "P3"), ("ok", "The run is complete."))
+
+
 @pytest.fixture
 def runs():
-    return {"P1": synthetic_run(0.0), "P2": synthetic_run(2.0), "P3": synthetic_run(1.0)}
+    return synthetic_runs()
 
 
 @pytest.fixture
 def statuses():
-    return dict.fromkeys(("P1", "P2", "P3"), ("ok", "The run is complete."))
+    return all_complete()

@@ -16,7 +16,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.path import Path
 
-from rfem_jax.description import Compliance, Joint
+from rfem_jax.description import Compliance, Joint, load_study
 from rfem_jax.mechanics import STATUS
 from rfem_jax.report import shapes
 from rfem_jax.report.figures import component_figure, draw_figures, shown_joints, write_figures
@@ -34,6 +34,8 @@ from rfem_jax.report.shapes import (
 from rfem_jax.report.style import SETTINGS, bar_style, line_style
 from rfem_jax.report.summary import summarise
 
+from .conftest import STUDY, all_complete, synthetic_runs
+
 NAMES = {
     *("angle", "rate", "angle_D", "energy", "maximum_forces", "rms_loads", "preload"),
     *("base_joint_force", "base_joint_moment", "joint_D_force", "joint_D_moment"),
@@ -41,9 +43,13 @@ NAMES = {
 }
 
 
-@pytest.fixture
-def figures(study, runs, statuses):
-    return draw_figures(study, runs, summarise(study, runs, statuses))
+@pytest.fixture(scope="module")
+def figures(tmp_path_factory):
+    """The pictures of the fixtures `study`, `runs` and `statuses`, drawn once for the tests that only look at them."""
+    path = tmp_path_factory.mktemp("figures") / "study.toml"
+    path.write_text(STUDY, encoding="utf-8")
+    study, runs = load_study(path), synthetic_runs()
+    return draw_figures(study, runs, summarise(study, runs, all_complete()))
 
 
 @pytest.fixture
@@ -177,11 +183,10 @@ def test_a_failed_case_is_marked_and_does_not_break_pictures(tmp_path, study, ru
         run.preload[joint].moment[:] = np.nan
         run.loads[joint].force[3:] = np.nan
     run.motion.centre_lines = {link: line * np.nan for link, line in run.motion.centre_lines.items()}
-    paths = write_figures(tmp_path, study, runs, summarise(study, runs, statuses))
-    assert {path.stem for path in paths} == NAMES
     figures = draw_figures(study, runs, summarise(study, runs, statuses))
     assert texts(figures["rms_loads"]).count("n/a") == 8
     assert "not assembled" in texts(figures["assembly"])
+    assert {path.stem for path in write_pictures(tmp_path, figures)} == NAMES
 
 
 def test_a_single_case_without_a_drive(study, runs, statuses):
@@ -311,13 +316,13 @@ def test_global_settings_of_matplotlib_stay(figures):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["rate", "assembly"])
-def test_a_written_picture_is_what_matplotlib_saves(name, tmp_path, study, runs, statuses):
+def test_a_written_picture_is_what_matplotlib_saves(tmp_path, study, runs, statuses):
     """With the automatic layout and without; pixel by pixel."""
-    (path,) = write_pictures(tmp_path, {name: draw_figures(study, runs, summarise(study, runs, statuses))[name]})
-    figure = draw_figures(study, runs, summarise(study, runs, statuses))[name]
-    with matplotlib.rc_context(SETTINGS):
-        figure.savefig(tmp_path / "saved.png")
-    expected = imread(tmp_path / "saved.png")
-    assert (expected[:, :, 3] == 1.0).all()
-    np.testing.assert_array_equal(imread(path), expected[:, :, :3])
+    one, other = (draw_figures(study, runs, summarise(study, runs, statuses)) for _ in range(2))
+    for name in ("rate", "assembly"):
+        (path,) = write_pictures(tmp_path, {name: one[name]})
+        with matplotlib.rc_context(SETTINGS):
+            other[name].savefig(tmp_path / "saved.png")
+        expected = imread(tmp_path / "saved.png")
+        assert (expected[:, :, 3] == 1.0).all()
+        np.testing.assert_array_equal(imread(path), expected[:, :, :3])

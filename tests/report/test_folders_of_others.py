@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import shutil
 
 import jax
 import numpy as np
@@ -49,6 +50,20 @@ def changed(path, old, new):
     path.write_text(text.replace(old, new, 1), encoding="utf-8")
 
 
+@pytest.fixture(scope="module")
+def samples_of_a_study(tmp_path_factory):
+    """The folder `out` that a Monte Carlo study wrote, from which tests copy; empty until the first one made it."""
+    return tmp_path_factory.mktemp("finished") / "out"
+
+
+@pytest.fixture
+def finished(samples_of_a_study, task_file, tmp_path):  # noqa: F811
+    """A copy of it beside the study's file."""
+    if not samples_of_a_study.exists():
+        assert call("monte-carlo", task_file, samples_of_a_study) == 0
+    return shutil.copytree(samples_of_a_study, tmp_path / "out")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("old", "new", "word"),
@@ -66,10 +81,8 @@ def changed(path, old, new):
         ("seed = 3", "seed = 3\nsobol_indices = true", "sobol_indices"),
     ],
 )
-def test_samples_of_another_study(task_file, tmp_path, capsys, nothing_computed, old, new, word):  # noqa: F811
-    out = tmp_path / "out"
-    assert call("monte-carlo", task_file, out) == 0
-    before = contents(out)
+def test_samples_of_another_study(task_file, finished, capsys, nothing_computed, old, new, word):  # noqa: F811
+    out, before = finished, contents(finished)
     nothing_computed()
     changed(task_file, old, new)
     capsys.readouterr()
