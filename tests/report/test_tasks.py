@@ -17,7 +17,7 @@ from rfem_jax.compilation.stages import listening
 from rfem_jax.description import Explicit, GeneralisedAlpha, RungeKutta4, load_study
 from rfem_jax.report import command_line, pictures
 from rfem_jax.report.command_line import main
-from rfem_jax.report.tasks import catalogue, study_problem, worst_case
+from rfem_jax.report.tasks import catalogue, study_problem, task_report
 from rfem_jax.report.tasks.task_overview import tasks_text
 from rfem_jax.tolerancing import Tolerances, monte_carlo
 from rfem_jax.tolerancing import worst_case as search
@@ -233,14 +233,14 @@ def test_the_folder_of_another_study_is_refused(task_file, tmp_path, capsys):
     capsys.readouterr()
     assert call("monte-carlo", task_file, out) == 2
     error = capsys.readouterr().err.splitlines()[-1]
-    assert "of another" in error and "key" in error and "monte_carlo" in error
+    assert "another study" in error and "key" in error and "monte_carlo" in error
 
 
 def test_a_full_disk_is_one_sentence(task_file, tmp_path, capsys, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(worst_case, "write_csv", full)
+    monkeypatch.setattr(task_report, "write_csv", full)
     assert call("worst-case", task_file, tmp_path / "out") == 2
     assert "No space left on device" in capsys.readouterr().err.splitlines()[-1]
 
