@@ -79,7 +79,18 @@ class AllocationReport(SolutionReport[AllocationTask, AllocationStudy]):
         return AllocationStudy(answer, dict(sorted(front.items())), before, cost)
 
     def text(self, result: AllocationStudy) -> str:
-        return allocation_text(result)
+        """The answer, its cost beside that of the study's own tolerances, and the scaled limits."""
+        parts = [str(result.answer)]
+        if np.isfinite(result.cost_before):
+            parts.append(f"The study's own tolerances cost {result.cost_before:.6g}.")
+        if len(result.front) > 1:
+            rows = [
+                [f"{scale:g}", one.status, f"{one.cost:.5g}", *(f"{c.limit:.5g}" for c in one.limits)]
+                for scale, one in result.front.items()
+            ]
+            header = ["scale of limits", "status", "cost", *(c.metric for c in result.answer.limits)]
+            parts.append(f"Cost against limits\n{align_columns(header, rows)}")
+        return "\n\n".join(parts)
 
     def write(self, folder: Path, result: AllocationStudy) -> list[Path]:
         """Write allocation.json, allocation.csv (tolerances before and after, in `unit`) and, with scaled limits,
@@ -146,21 +157,6 @@ def scaled_limits(checks: Iterable[LimitCheck], scale: float) -> dict[str, tuple
         moved = check.nominal + scale * (check.limit - check.nominal)
         limits[check.metric] = (low, moved) if check.side == "upper" else (moved, high)
     return limits
-
-
-def allocation_text(found: AllocationStudy) -> str:
-    """The answer, its cost beside that of the study's own tolerances, and the scaled limits."""
-    parts = [str(found.answer)]
-    if np.isfinite(found.cost_before):
-        parts.append(f"The study's own tolerances cost {found.cost_before:.6g}.")
-    if len(found.front) > 1:
-        rows = [
-            [f"{scale:g}", one.status, f"{one.cost:.5g}", *(f"{c.limit:.5g}" for c in one.limits)]
-            for scale, one in found.front.items()
-        ]
-        header = ["scale of limits", "status", "cost", *(c.metric for c in found.answer.limits)]
-        parts.append(f"Cost against limits\n{align_columns(header, rows)}")
-    return "\n\n".join(parts)
 
 
 def front_figure(study: Study, found: AllocationStudy) -> Figure:

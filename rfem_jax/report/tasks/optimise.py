@@ -70,7 +70,16 @@ class OptimiseReport(SolutionReport[OptimiseTask, Optimised]):
         return Optimised(answer, front)
 
     def text(self, result: Optimised) -> str:
-        return optimum_text(result)
+        """The answer, and the front as a table."""
+        parts = [str(result.answer)]
+        if result.front:
+            terms = list(next(iter(result.front.values())).terms)
+            rows = [
+                [f"{weight:g}", one.status, *(show_number(one.terms[term]) for term in terms)]
+                for weight, one in result.front.items()
+            ]
+            parts.append(f"Pareto front\n{align_columns(['weight', 'status', *terms], rows)}")
+        return "\n\n".join(parts)
 
     def write(self, folder: Path, result: Optimised) -> list[Path]:
         """Write optimise.json, optimise.csv (dimensions and tolerances before and after), optimise_limits.csv and, with
@@ -148,17 +157,5 @@ class OptimiseReport(SolutionReport[OptimiseTask, Optimised]):
 
 
 def _limit_rows(answer: DesignOptimum) -> list[dict[str, Any]]:
-    return [row | {"unit": check.unit} for row, check in zip(answer.limit_rows(), answer.limits, strict=True)]
-
-
-def optimum_text(found: Optimised) -> str:
-    """The answer, and the front as a table."""
-    parts = [str(found.answer)]
-    if found.front:
-        terms = list(next(iter(found.front.values())).terms)
-        rows = [
-            [f"{weight:g}", one.status, *(show_number(one.terms[term]) for term in terms)]
-            for weight, one in found.front.items()
-        ]
-        parts.append(f"Pareto front\n{align_columns(['weight', 'status', *terms], rows)}")
-    return "\n\n".join(parts)
+    units = [{"metric": check.metric, "unit": check.unit} for check in answer.limits]
+    return [unit | row | unit for unit, row in zip(units, answer.limit_rows(), strict=True)]
