@@ -129,9 +129,9 @@ class FoundTolerancesTask(Task):
     @classmethod
     def read(cls, table: object, place: str, tolerances: SpecifiedTolerances | None) -> Any:
         """As `Task.read`; the table `cost` becomes its `costs`, whose scales are the tolerances of the study."""
-        (_, _, *keys), (of_costs, *_) = cls.tables(place)
+        (_, _, required, optional), (of_costs, *_) = cls.tables(place)
         problems = Problems()
-        settings = checked_table(table, place, *keys, problems)
+        settings = checked_table(table, place, required, optional, problems)
         bounds, cost = settings.get("bounds", {}), settings.pop("cost", {})
         if not isinstance(bounds, dict) or not bounds:  # then any error may have a cost
             bounds = {name: None for name in cost if "." in name} if isinstance(cost, dict) else {}
