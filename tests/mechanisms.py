@@ -7,6 +7,7 @@ import numpy as np
 
 from rfem_jax import (
     Compliance,
+    GivenSection,
     Joint,
     JointForceFunction,
     JointForceTable,
@@ -21,16 +22,37 @@ from rfem_jax import (
     PointSpringFunction,
     Rectangle,
     RigidBody,
+    Simulation,
+    simulate,
 )
+from rfem_jax.mechanics.dynamics.loads import static_state
 
 STEEL = Material("steel", youngs_modulus=210e9, density=7850.0, poisson_ratio=0.3, damping=1e-5)
 BAR = Rectangle(0.01, 0.01)
+NO_MASS = GivenSection(1e6, 1e6, 1e6, 1e2, 1e2, 1e2, 1e-9, 1e-15, 1e-15, 1e-15)
 
 
 def link(name, length, rfes=None, **more):
     """A steel bar of 10 x 10 mm: rigid, or with a number of rfes."""
     shape = {"rigid": True} if rfes is None else {"rfes": rfes}
     return Link(name, length, BAR, STEEL, **shape, **more)
+
+
+def body(name, mass, centre=(0.0, 0.0, 0.0), inertia=(1e-4, 1e-4, 1e-4), length=0.1):
+    """A rigid link whose mass is that of one body: at `centre`, with moments of inertia about it."""
+    return Link(name, length, NO_MASS, rigid=True, point_masses=[PointMass(mass, centre, inertia)])
+
+
+def released(model, **settings):
+    """Motion without a drive from the description's start, at rest."""
+    start = static_state(model.topology, model.start_coordinates())
+    return simulate(Simulation(model, drive=None, start=start, **settings))
+
+
+def arm(rfes=None, angle=0.4, **more):
+    """One driven link on a hinge: the smallest program."""
+    joint = Joint("A", "base", "arm", angle=angle)
+    return Mechanism([link("arm", 0.3, rfes)], [joint], driven_joint="A", **more)
 
 
 def four_bar(rfes=3, crank=None, cut="C", **more):

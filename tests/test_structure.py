@@ -3,6 +3,7 @@ mechanics -> compilation -> description; kernels import none of them.  None of t
 environment and JAX's settings, or uses what is JAX's own."""
 
 import ast
+import functools
 import re
 from pathlib import Path
 
@@ -31,10 +32,28 @@ BY_STRINGS_OF_USERS = {"task_kinds.py", "labelled_data.py", "lazy_names.py"}  # 
 FORMER = {"simulation/run.py": "report_run"}  # names of a package above that methods of the version before call
 
 
+@functools.cache
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _forget_trees():
+    """They are many objects, through which Python's garbage collector would go again and again."""
+    yield
+    tree_of.cache_clear()
+    nodes_of.cache_clear()
+
+
+@functools.cache
+def nodes_of(path: Path) -> tuple[ast.AST, ...]:
+    return tuple(ast.walk(tree_of(path)))
+
+
 def imported_modules(path: Path):
     """Names of all modules that a file imports: inside functions, by strings and by the package's public names, too."""
     former = FORMER.get(path.relative_to(ROOT / "rfem_jax").as_posix()) if path.is_relative_to(ROOT) else None
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in nodes_of(path):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -125,7 +144,7 @@ TEXTS = {"read_text", "write_text", "savetxt", "loadtxt", "genfromtxt"}
 @pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT / "rfem_jax")))
 def test_texts_in_files_have_an_encoding(path):
     """That of the system is not UTF-8 everywhere."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in nodes_of(path):
         if not isinstance(node, ast.Call):
             continue
         named = getattr(node.func, "attr", getattr(node.func, "id", ""))
@@ -140,7 +159,7 @@ def test_texts_in_files_have_an_encoding(path):
 def imported_files(path: Path):
     """Names of all modules of this project that a file imports; `from package import module` names a module too."""
     yield from (name for name in imported_modules(path) if name.startswith("rfem_jax."))
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in nodes_of(path):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("rfem_jax."):
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
@@ -198,9 +217,7 @@ def test_no_circles_of_sub_packages():
 @pytest.mark.slow
 def test_a_file_and_its_functions_have_different_names():
     for path in FILES:
-        names = {
-            node.name for node in ast.parse(path.read_text()).body if isinstance(node, (ast.FunctionDef, ast.ClassDef))
-        }
+        names = {node.name for node in tree_of(path).body if isinstance(node, (ast.FunctionDef, ast.ClassDef))}
         assert path.stem not in names, path
 
 
@@ -210,7 +227,7 @@ LONGEST_FUNCTION = 60
 @pytest.mark.slow
 def test_no_function_is_longer_than_a_page():
     for path in FILES:
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in nodes_of(path):
             if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
                 length = node.end_lineno - node.lineno + 1
                 assert length <= LONGEST_FUNCTION, f"{path}: {node.name} has {length} lines"
@@ -260,7 +277,7 @@ def changes_of_settings(path: Path) -> list[str]:
     """What a module does with the environment, but to read it, and with JAX's settings, when it is imported."""
     reading = ("get", "items", "copy")
     found = []
-    for node in run_at_import(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in run_at_import(tree_of(path)):
         if isinstance(node, ast.Call):
             *whose, act = ast.unparse(node.func).split(".")
             of_environment = whose[-1:] == ["environ"] and act not in reading
@@ -277,13 +294,13 @@ def changes_of_settings(path: Path) -> list[str]:
     'class A:\n    jax.config.update("jax_enable_x64", True)', '@of(os.environ.pop("A"))\ndef function(): pass',
 ])  # fmt: skip
 def test_changes_of_settings_are_seen(text, tmp_path):
-    path = tmp_path / "module.py"
+    path, other = tmp_path / "module.py", tmp_path / "other.py"
     path.write_text(text, encoding="utf-8")
     assert len(changes_of_settings(path)) == 1
-    path.write_text(
+    other.write_text(
         f"import os\ndef function():\n    os.environ.clear()\nA = os.environ.get({text!r})", encoding="utf-8"
     )
-    assert changes_of_settings(path) == []
+    assert changes_of_settings(other) == []
 
 
 @pytest.mark.slow

@@ -98,7 +98,7 @@ def test_loops_are_closed_and_what_cannot_close_spoils_no_batch():
         found = designed(model, design(model, {"rocker.length": length}))
         return found.model.start_joints, found.status, found.gap
 
-    starts, statuses, gap = jax.vmap(made)(jnp.array([0.28, 0.31, 3.0]))
+    starts, statuses, gap = jax.jit(jax.vmap(made))(jnp.array([0.28, 0.31, 3.0]))
     assert [STATUS[int(status)].name for status in statuses] == ["ok", "ok", "not_closed"]
     assert float(gap[2]) > 1.0 and np.isfinite(starts).all()
     for length, start in zip((0.28, 0.31), starts, strict=False):

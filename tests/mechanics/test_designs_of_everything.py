@@ -40,15 +40,14 @@ from rfem_jax.description.parameters.parameters import parameters_of
 from rfem_jax.description.parameters.parts import number_at, parts_of, scaled, with_number
 from rfem_jax.mechanics.model.building import PartStructure, arrays_of
 from rfem_jax.mechanics.statics.designs import _plan_of, designed
+from tests.mechanisms import STEEL, TABLE
 
-STEEL = Material("steel", youngs_modulus=210e9, density=7850.0, poisson_ratio=0.3, damping=1e-5)
 BRASS = Material("brass", youngs_modulus=1e11, density=8400.0, shear_modulus=3.7e10, damping=2e-5)
 GIVEN = GivenSection(
     2e7, 7e6, 6e6, 150.0, 180.0, 120.0, 0.7, 1.4e-5, 8e-6, 6e-6, 1e-5, edge_y=5e-3, edge_z=6e-3, edge_modulus=2e11,
     torsion_modulus=2e-7, name="given",
 )  # fmt: skip
 TENSOR = [[3e-4, 5e-5, -2e-5], [5e-5, 4e-4, 8e-5], [-2e-5, 8e-5, 5e-4]]
-TABLE = {"positions": [0.0, 0.01, 0.2], "forces": [0.0, 3.0, 20.0]}  # of a resultant
 PIN = Clearance(
     5e-5, 0.02, 5e8, axial=1e-4, exponent=1.5, axial_stiffness=4e8, axial_exponent=1.0, restitution=0.8, friction=0.1,
     diameter=0.01, sliding_speed=1e-3,

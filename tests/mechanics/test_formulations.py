@@ -34,14 +34,14 @@ from tests.mechanisms import (
     open_chain,
     random_state,
     some_errors,
-    three_link_loop,
     two_cuts_of_different_kinds,
 )
 
 GAINS = Stabilisation(3.0, 7.0, 0.3)
 STATES = 5
-# Every kind is met with both forms of elements; exact ones also in `two_cuts_of_different_kinds`.
-CUT_KINDS = ("prismatic", "cylindrical", "universal", "spherical", "planar", "fixed")
+# Mechanisms that contain another one stand for it, as `chain_with_forces` for `chain_of_kinds`. Every kind of cut joint
+# is met with exact elements (prismatic and universal in `two_cuts_of_different_kinds`), and linear ones between these,
+# with which the closure equations have nothing to do, by a few.
 # Components of the load in H (tree) or L (cut) along the free motions in their order: force x, y, z, moment x, y, z.
 FREE = {"revolute": (4,), "prismatic": (0,), "cylindrical": (4, 1), "planar": (0, 2, 4), "fixed": (), "free": range(6)}
 
@@ -81,11 +81,8 @@ def named(make, *arguments):
 CASES = [
     *[(make, "moment", "linear") for make in ALL],
     (four_bar, "prescribed", "linear"),
-    (open_chain, "prescribed", "linear"),
     (four_bar, "moment", "geometrically_exact"),
-    (three_link_loop, "moment", "geometrically_exact"),
     (open_chain, "prescribed", "geometrically_exact"),
-    (chain_of_kinds, "moment", "linear"),
     (chain_of_kinds, "prescribed", "geometrically_exact"),
     (named(loop_cut_by, "cylindrical"), "moment", "geometrically_exact"),
     (two_cuts_of_different_kinds, "moment", "geometrically_exact"),
@@ -97,7 +94,7 @@ CASES = [
     (loop_with_point_forces, "moment", "linear"),
     (loop_with_a_ball, "moment", "linear"),
     (chain_with_drives, "several", "linear"),
-    *[(named(loop_cut_by, kind), "moment", "linear") for kind in CUT_KINDS],
+    *[(named(loop_cut_by, kind), "moment", "linear") for kind in ("prismatic", "planar")],
     *[(named(loop_cut_by, kind), "moment", "geometrically_exact") for kind in ("spherical", "planar", "fixed")],
     (compliant_chain, "moment", "linear"),
     (compliant_four_bar, "moment", "linear"),

@@ -44,7 +44,7 @@ class TestLaws:
         made = law(kind="prismatic", coefficient=0.4, static_coefficient=0.6, sliding_rate=0.02, law="brown_mcphee")
         x = np.array([-3.0, -0.4, 0.0, 1.0, 2.5])
         expected = -2.0 * (0.4 * np.tanh(4.0 * x) + 0.2 * x / (0.25 * x**2 + 0.75) ** 2)
-        found = jax.vmap(lambda rate: made.force(0.0, rate, jnp.asarray(2.0)))(jnp.asarray(0.02 * x))
+        found = jax.jit(jax.vmap(lambda rate: made.force(0.0, rate, jnp.asarray(2.0))))(jnp.asarray(0.02 * x))
         np.testing.assert_allclose(found, expected, rtol=1e-14, atol=1e-15)
 
     @pytest.mark.parametrize("settings", [{"law": "tanh"}, {"law": "brown_mcphee", "static_constant": 3.0}])
@@ -80,7 +80,7 @@ class TestLaws:
         sizes = [sign * size for sign in (1.0, -1.0) for size in (1e-3, 0.1, 30.0)]
         cases = jnp.array([(m, a, b) for m in (0.1, 3.0, 100.0) for a in sizes for b in (0.0, *sizes)])
         increments = 4 if settings["law"] == "tanh" else 5
-        found = jax.vmap(lambda case: residual_after(*case, increments))(cases)
+        found = jax.jit(jax.vmap(lambda case: residual_after(*case, increments)))(cases)
         np.testing.assert_allclose(found, 0.0, atol=1e-5)
 
     def test_moments_press_the_ends_of_a_bearing(self):

@@ -44,6 +44,12 @@ def weighed(function, shape):
     return lambda a, b: jnp.sum(jnp.sin(function(a, b)) * weights)
 
 
+def pairs(results, function, plain):
+    """Pairs of the results with the function and with the plain one, from one program."""
+    found = jax.jit(lambda: (results(function), results(plain)))()
+    return zip(*map(jax.tree.leaves, found), strict=True)
+
+
 def names(program):
     return [equation.primitive.name for equation in program.jaxpr.eqns]
 
@@ -58,12 +64,14 @@ def test_values(case, run):
 def test_derivatives_of_both_modes_and_of_second_order(case):
     function, plain, given = case
     shape = plain(*given).shape
-    ours, theirs = weighed(function, shape), weighed(plain, shape)
-    for derivative in (jax.jacfwd, jax.jacrev, jax.hessian):
-        for place in (0, 1, (0, 1)):
-            pairs = zip(*(jax.tree.leaves(jax.jit(derivative(f, place))(*given)) for f in (ours, theirs)), strict=True)
-            for a, b in pairs:
-                np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-14)
+
+    def derivatives(function):
+        """By one of the arguments, the other being constant, and by both."""
+        modes, places = (jax.jacfwd, jax.jacrev, jax.hessian), (0, 1, (0, 1))
+        return [derivative(weighed(function, shape), place)(*given) for derivative in modes for place in places]
+
+    for a, b in pairs(derivatives, function, plain):
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-14)
 
 
 def test_a_tangent_of_one_argument_and_of_none(case):
@@ -76,20 +84,24 @@ def test_a_tangent_of_one_argument_and_of_none(case):
     assert through_constants == 2.0
 
 
+AXES = ((0, 0), (-1, -1), (0, None), (None, 0), (1, 0), (-1, None), (0, -1))
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("axes", [(0, 0), (-1, -1), (0, None), (None, 0), (1, 0), (-1, None), (0, -1)])
-def test_batches_on_any_axis(case, axes):
+def test_batches_on_any_axis(case):
     function, plain, given = case
-    stacked = [
-        x if axis is None else jnp.stack([x, 2.0 * x, -x], axis=axis) for x, axis in zip(given, axes, strict=True)
-    ]
     shape = plain(*given).shape
-    for ours, theirs in (
-        (function, plain), (jax.grad(weighed(function, shape), (0, 1)), jax.grad(weighed(plain, shape), (0, 1))),
-    ):  # fmt: skip
-        found, expected = (jax.jit(jax.vmap(f, in_axes=axes))(*stacked) for f in (ours, theirs))
-        for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
-            np.testing.assert_allclose(a, b, rtol=1e-13, atol=1e-14)
+
+    def stacked(axes):
+        return [x if axis is None else jnp.stack([x, 2.0 * x, -x], axis=axis) for x, axis in zip(given, axes)]
+
+    def batches(function):
+        """Values, and gradients by both arguments."""
+        both = function, jax.grad(weighed(function, shape), (0, 1))
+        return [jax.vmap(one, in_axes=axes)(*stacked(axes)) for axes in AXES for one in both]
+
+    for a, b in pairs(batches, function, plain):
+        np.testing.assert_allclose(a, b, rtol=1e-13, atol=1e-14)
 
 
 @pytest.mark.parametrize("name", ["apply", "product", "cross"])

@@ -15,8 +15,6 @@ import pytest
 from rfem_jax import (
     Explicit,
     GeneralisedAlpha,
-    Joint,
-    Mechanism,
     MomentRamp,
     Problem,
     Simulation,
@@ -24,7 +22,7 @@ from rfem_jax import (
     discretise,
     simulate,
 )
-from tests.mechanisms import four_bar, link
+from tests.mechanisms import arm, four_bar
 
 pytestmark = pytest.mark.slow
 
@@ -156,14 +154,9 @@ FEW = ("A.delta_x", "A.child.delta_z", "arm.length")
 FEW_POINT = np.array([6e-3, -4e-3, 2e-4])
 
 
-def flexible_arm(rfes):
-    """One link and no loop, for short compilation."""
-    return Mechanism([link("arm", 0.3, rfes)], [Joint("A", "base", "arm", angle=0.4)], driven_joint="A")
-
-
 def test_geometrically_exact_elements():
     """Three errors of different kinds, by all three ways, all compiled."""
-    model = discretise(flexible_arm(3), elements="geometrically_exact")
+    model = discretise(arm(3), elements="geometrically_exact")
     problem = Problem(
         Simulation(model, drive=MomentRamp("A", 1.5, 0.06), duration=0.12, method=METHOD, save_every=2e-2),
         ("A.mean_square_force", "A.mean_square_moment"),
@@ -180,7 +173,7 @@ def test_geometrically_exact_elements():
 @pytest.mark.long
 def test_adaptive_method_in_both_modes():
     """dopri8 with diffrax's adjoints, over the drive's jump."""
-    model, drive = discretise(flexible_arm(2)), MomentRamp("A", 1.5, 5e-4)
+    model, drive = discretise(arm(2)), MomentRamp("A", 1.5, 5e-4)
     method = Explicit("dopri8", rtol=1e-9, atol=1e-10)
 
     def moment(point, adjoint=None):

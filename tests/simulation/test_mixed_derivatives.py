@@ -56,11 +56,18 @@ from rfem_jax.description.tolerances.error_catalogue import error_dimension
 from rfem_jax.mechanics.dynamics.loads import static_state
 from rfem_jax.simulation.driving import drive_numbers
 from tests.evaluation import evaluated
-from tests.mechanisms import BUSHING, chain_with_balls, chain_with_drives, four_bar, loop_cut_by, loop_with_a_ball
+from tests.mechanisms import (
+    BUSHING,
+    STEEL,
+    chain_with_balls,
+    chain_with_drives,
+    four_bar,
+    loop_cut_by,
+    loop_with_a_ball,
+)
 
 pytestmark = pytest.mark.slow
 
-STEEL = Material("steel", youngs_modulus=210e9, density=7850.0, poisson_ratio=0.3, damping=1e-5)
 BRASS = Material("brass", youngs_modulus=1e11, density=8400.0, shear_modulus=3.7e10, damping=2e-5)
 BAR, TUBE, ROD = Rectangle(0.01, 0.012, name="bar"), Tube(0.016, 0.002, name="tube"), Circle(0.011, name="rod")
 THICK = Tube(0.02, 0.004, shear_factor=1.9, name="thick")
@@ -274,13 +281,13 @@ def drive_numbers_of(mixed: Mixed, model: Any) -> dict[str, float]:
     return {name: float(value) for name, value in drive_numbers(model, mixed.drive, None).items()}
 
 
-# Each compiles for minutes, all directions and both modes; these two always.
-ALWAYS = (gas_over_a_stroke, several_drives)
+# Each compiles for minutes, all directions and both modes; these two are among the long tests of every session of CI.
+LONG = (gas_over_a_stroke, several_drives)
 
 
 @pytest.mark.parametrize(
     "made",
-    [made if made in ALWAYS else pytest.param(made, marks=pytest.mark.exhaustive) for made in MIXED],
+    [pytest.param(made, marks=pytest.mark.long if made in LONG else pytest.mark.exhaustive) for made in MIXED],
     ids=lambda made: made.__name__,
 )
 def test_forward_reverse_and_differences_agree(made):

@@ -3,6 +3,7 @@
 import dataclasses
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -37,10 +38,10 @@ def test_diffrax_finds_the_motion_and_loads_of_simulate(simulation):
     assert motion.jumps == (0.01,) and int(motion.status) == 0
     solution = solved(motion, 0.02, saveat=diffrax.SaveAt(ts=run.times))
     np.testing.assert_allclose(solution.ys.position.joints[:, 0], run.motion.angle, rtol=0, atol=1e-9)
-    forces = jax.vmap(lambda t, y: motion.loads(t, y)["D"].force)(solution.ts, solution.ys)
+    at_all_times = eqx.filter_jit(jax.vmap(lambda t, y: (motion.loads(t, y)["D"].force, motion.energy(y))))
+    forces, energies = at_all_times(solution.ts, solution.ys)
     np.testing.assert_allclose(forces, run.loads["D"].force, rtol=0, atol=1e-5 * np.abs(forces).max())
     np.testing.assert_allclose(motion.preload["D"].force, run.preload["D"].force, rtol=1e-9)
-    energies = jax.vmap(motion.energy)(solution.ys)
     np.testing.assert_allclose(energies, run.energy.total, rtol=1e-7)
     kept = energies - solution.ys.integrals.work + solution.ys.integrals.dissipation
     np.testing.assert_allclose(kept, kept[0], rtol=0, atol=1e-8)
@@ -79,14 +80,18 @@ def test_its_derivatives_are_those_of_differences(simulation):
 @pytest.mark.slow
 def test_the_field_is_that_of_the_equations_before_and_after_a_jump(simulation):
     motion = equations_of_motion(simulation)
+
+    @eqx.filter_jit
+    def both(t, phase):
+        conditions = dataclasses.replace(motion._conditions(t), phase=phase)
+        return motion(t, motion.start), at_instant(t, motion.start, conditions)[2].coordinates
+
     for t, phase in ((0.00999, 0), (0.01, 1), (0.015, 1)):
-        rate = motion(t, motion.start)
-        conditions = dataclasses.replace(motion._conditions(t), phase=jnp.asarray(phase, jnp.int32))
-        wanted = at_instant(jnp.asarray(t), motion.start, conditions)[2].coordinates
+        rate, wanted = both(jnp.asarray(t), jnp.asarray(phase, jnp.int32))
         np.testing.assert_allclose(rate.velocity.joints, wanted.joints, rtol=1e-9, atol=1e-9)
-    batch = jax.vmap(lambda tilt: equations_of_motion(
+    batch = jax.jit(jax.vmap(lambda tilt: equations_of_motion(
         simulation, assembly_errors(simulation.model, {"D.delta_x": tilt})).preload["D"].moment
-    )(jnp.array([0.0, 1e-3]))  # fmt: skip
+    ))(jnp.array([0.0, 1e-3]))  # fmt: skip
     assert batch.shape == (2, 3) and np.abs(batch[1] - batch[0]).max() > 0.1
 
 

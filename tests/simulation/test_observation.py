@@ -104,7 +104,7 @@ def at_positions(model, coordinates):
         now = motion_of(actual, state)
         return assembly_modes(actual, now, closure(actual, now, length_scale(model)))
 
-    found = jax.vmap(one)(jnp.stack([jnp.asarray(coordinates[name]) for name in names], axis=1))
+    found = jax.jit(jax.vmap(one))(jnp.stack([jnp.asarray(coordinates[name]) for name in names], axis=1))
     return dict(zip([model.topology.joints[j] for j in model.topology.cuts], np.asarray(found).T, strict=True))
 
 

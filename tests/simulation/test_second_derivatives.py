@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import GeneralisedAlpha, Joint, Mechanism, MomentRamp, Problem, Simulation, design, discretise
+from rfem_jax import GeneralisedAlpha, MomentRamp, Problem, Simulation, design, discretise
 from tests.evaluation import evaluated
-from tests.mechanisms import link
+from tests.mechanisms import arm
 
 METHOD = GeneralisedAlpha(step=5e-3, corrections=9, tolerance=1e-14)
 POINT = {"arm.section.width": 1e-3, "A.delta_x": 4e-3, "drive.moment": 0.1}
@@ -18,7 +18,7 @@ STEP = 2e-2  # of differences, in sizes of the numbers
 
 @pytest.mark.long
 def test_hessian_of_loads_of_a_motion():
-    model = discretise(Mechanism([link("arm", 0.3, 2)], [Joint("A", "base", "arm", angle=0.5)], driven_joint="A"))
+    model = discretise(arm(2, 0.5))
     metrics = ("A.rms_moment", "A.mean_square_force")
     # The design sets one of the numbers, which deviates from there.
     wanted = design(model, {"drive.moment": 2.0})

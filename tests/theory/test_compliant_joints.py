@@ -17,7 +17,6 @@ import pytest
 from rfem_jax import (
     Compliance,
     GeneralisedAlpha,
-    GivenSection,
     InputError,
     Joint,
     Leapfrog,
@@ -37,7 +36,7 @@ from rfem_jax.description.mechanism.compliance import SprungDirection
 from rfem_jax.mechanics.laws.joint_springs import compliant_spring
 from rfem_jax.simulation.stability import eigenvalues, largest_stable_step
 from rfem_jax.validation.reference_values import read_reference
-from tests.mechanisms import BAR, STEEL, link
+from tests.mechanisms import BAR, NO_MASS, STEEL, link
 
 BUSHING = Compliance(
     radial=5e7, axial=2e7, tilt=2e3, radial_damping=500.0, axial_damping=200.0, tilt_damping=0.02
@@ -212,10 +211,8 @@ def test_stiff_bearings_approach_ideal_ones_where_a_link_is_flexible(elements):
 
 
 class TestSprings:
-    NO_MASS = GivenSection(1e6, 1e6, 1e6, 1e2, 1e2, 1e2, 1e-9, 1e-15, 1e-15, 1e-15)
-
     def block(self, joint, mass=0.5, gravity=(0.0, 0.0, 0.0)):
-        body = Link("block", 0.1, self.NO_MASS, rigid=True, point_masses=[PointMass(mass, 0.0, (1e-3, 1e-3, 1e-3))])
+        body = Link("block", 0.1, NO_MASS, rigid=True, point_masses=[PointMass(mass, 0.0, (1e-3, 1e-3, 1e-3))])
         return discretise(Mechanism([body], [joint], gravity=gravity))
 
     @pytest.mark.slow

@@ -13,15 +13,12 @@ from rfem_jax import (
     ForceRamp,
     ForceTable,
     GeneralisedAlpha,
-    GivenSection,
     InputError,
     Joint,
     JointSpring,
     Leapfrog,
-    Link,
     Mechanism,
     MomentFunction,
-    PointMass,
     PrescribedFunction,
     PrescribedRate,
     PrescribedSpeed,
@@ -36,14 +33,10 @@ from rfem_jax import (
 )
 from rfem_jax.simulation.driving import require_driven
 from rfem_jax.simulation.stability import eigenvalues
-from tests.mechanisms import link
+from tests.derivatives import check_derivatives
+from tests.mechanisms import body, link
 
-NO_MASS = GivenSection(1e6, 1e6, 1e6, 1e2, 1e2, 1e2, 1e-9, 1e-15, 1e-15, 1e-15)
 EXPLICIT, IMPLICIT = RungeKutta4(step=1e-4), GeneralisedAlpha(step=1e-4, tolerance=1e-10)
-
-
-def body(name, mass, centre=(0.0, 0.0, 0.0), inertia=(1e-4, 1e-4, 1e-4), length=0.1):
-    return Link(name, length, NO_MASS, rigid=True, point_masses=[PointMass(mass, centre, inertia)])
 
 
 class TestForceOnASlide:
@@ -275,10 +268,7 @@ class TestArm:
             )
 
         at = jnp.asarray([3.0, 20.0])
-        forward, backward = jax.jacfwd(end)(at), jax.jacrev(end)(at)
-        np.testing.assert_allclose(forward, backward, rtol=1e-8)
-        differences = [(end(at + d) - end(at - d)) / (2.0 * d.sum()) for d in jnp.diag(1e-4 * at)]
-        np.testing.assert_allclose(forward, np.array(differences).T, rtol=1e-6)
+        check_derivatives(end, at, 1e-4 * at, reverse=1e-8, differences=1e-6)
 
     @pytest.mark.slow
     def test_auto_and_the_largest_step(self):

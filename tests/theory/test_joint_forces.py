@@ -8,15 +8,12 @@ import pytest
 
 from rfem_jax import (
     GeneralisedAlpha,
-    GivenSection,
     Joint,
     JointForceFunction,
     JointForceTable,
     JointSpring,
     Leapfrog,
-    Link,
     Mechanism,
-    PointMass,
     PrescribedRate,
     RungeKutta4,
     Simulation,
@@ -29,28 +26,17 @@ from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.simulation import vibration
 from rfem_jax.simulation.stability import eigenvalues, largest_stable_step
-from tests.mechanisms import four_bar, link
+from tests.derivatives import check_derivatives
+from tests.mechanisms import body, four_bar, link, released
 
-NO_MASS = GivenSection(1e6, 1e6, 1e6, 1e2, 1e2, 1e2, 1e-9, 1e-15, 1e-15, 1e-15)
 MASS, STIFFNESS, DAMPING, REST, PRELOAD, START = 0.5, 80.0, 2.5, 0.1, 3.0, 0.24
 METHODS = (RungeKutta4(step=1e-4), Leapfrog(step=2e-5), GeneralisedAlpha(step=1e-4))
 by_name = pytest.mark.parametrize("method", METHODS, ids=lambda method: method.name)
 
 
-def body(name, mass, centre=(0.0, 0.0, 0.0), inertia=(1e-4, 1e-4, 1e-4), length=0.1):
-    return Link(name, length, NO_MASS, rigid=True, point_masses=[PointMass(mass, centre, inertia)])
-
-
 def slider(*forces, gravity=(0.0, 0.0, -9.81)):
     joint = Joint("G", "base", "block", kind="prismatic", displacement=START)
     return discretise(Mechanism([body("block", MASS)], [joint], forces=list(forces), gravity=gravity))
-
-
-def released(model, **settings):
-    """Motion from the description's start, at rest."""
-    return simulate(
-        Simulation(model, drive=None, start=loads.static_state(model.topology, model.start_coordinates()), **settings)
-    )
 
 
 SPRING = JointSpring("coil", "G", stiffness="80 N/m", damping=DAMPING, rest="100 mm", preload=PRELOAD)
@@ -130,11 +116,7 @@ class TestOscillator:
             return jnp.stack([run.motion.displacements["G"][-1], run.metrics.mean_square_force["G"]])
 
         at = jnp.asarray([STIFFNESS, DAMPING, REST, PRELOAD])
-        forward, backward = jax.jacfwd(end)(at), jax.jacrev(end)(at)
-        np.testing.assert_allclose(forward, backward, rtol=1e-8)
-        step = 1e-4 * at
-        differences = [(end(at + d) - end(at - d)) / (2.0 * d.sum()) for d in jnp.diag(step)]
-        np.testing.assert_allclose(forward, np.array(differences).T, rtol=2e-5)
+        check_derivatives(end, at, 1e-4 * at, reverse=1e-8, differences=2e-5)
 
 
 class TestLaws:
@@ -186,8 +168,8 @@ class TestLaws:
             moved = eqx.tree_at(lambda m: m.forces["cubic"].function.stiffness, model, stiffness)
             return released(moved, duration=0.1, method=METHODS[0], save_every=0.05).motion.displacements["G"][-1]
 
-        np.testing.assert_allclose(end(jnp.asarray(900.0)), reference(900.0), rtol=1e-12)
-        np.testing.assert_allclose(jax.grad(end)(900.0), jax.grad(reference)(900.0), rtol=1e-9)
+        np.testing.assert_allclose(end(jnp.asarray(900.0)), jax.jit(reference)(900.0), rtol=1e-12)
+        np.testing.assert_allclose(jax.jit(jax.grad(end))(900.0), jax.jit(jax.grad(reference))(900.0), rtol=1e-9)
 
 
 @pytest.mark.slow
@@ -204,7 +186,7 @@ def test_a_spring_in_a_loop_at_rest(elements):
         rocker = assembled.state.position.joints[model.topology.joints.index("D")]
         return energy, (assembled.preload["A"].moment[1], assembled.preload["D"].moment[1], rocker, assembled.status)
 
-    (energy, (moment, of_spring, rocker, status)), derivative = jax.value_and_grad(at, has_aux=True)(-1.4)
+    (energy, (moment, of_spring, rocker, status)), derivative = jax.jit(jax.value_and_grad(at, has_aux=True))(-1.4)
     assert int(status) == 0 and float(energy) > 1.0
     np.testing.assert_allclose(of_spring, -50.0 * (rocker + 1.0), rtol=1e-9)
     assert abs(float(moment)) > 1.0

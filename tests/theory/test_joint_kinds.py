@@ -35,6 +35,7 @@ from rfem_jax.mechanics.statics.assembly import equilibrium
 from rfem_jax.validation import slider_cranks, spatial_linkages
 from rfem_jax.validation.joint_cases import preload_lines
 from rfem_jax.validation.lines import PASS
+from tests.derivatives import check_derivatives, jacobians
 from tests.mechanisms import BAR, STEEL, link, loop_cut_by, random_state
 
 
@@ -228,17 +229,12 @@ class TestPlanarAndFixed:
 
         def preload(values):
             found = assemble(model, assembly_errors(model, dict(zip(names, values)))).preload
-            values = jnp.concatenate([found["C"].force, found["F"].moment])
-            return values, values
+            return jnp.concatenate([found["C"].force, found["F"].moment])
 
-        at, step = jnp.asarray([2e-3, 1e-4, -1e-3, 2e-4, -3e-3]), 1e-6
-        with_values = jax.jit(jax.jacfwd(preload, has_aux=True))  # one program for these, too
-        forward, backward = (np.asarray(one(at)[0]) for one in (with_values, jax.jacrev(preload, has_aux=True)))
+        _, forward, backward, differences = jacobians(preload, [2e-3, 1e-4, -1e-3, 2e-4, -3e-3], 1e-6)
         largest = np.abs(forward).max(axis=0)
         assert np.all(largest > 1.0)
         np.testing.assert_allclose(backward / largest, forward / largest, rtol=0, atol=1e-8)
-        ends = [with_values(at + step * unit)[1] - with_values(at - step * unit)[1] for unit in jnp.eye(5)]
-        differences = np.stack(ends, axis=1) / (2.0 * step)
         np.testing.assert_allclose(differences / largest, forward / largest, rtol=0, atol=1e-6)
 
 
@@ -292,11 +288,12 @@ class TestTwoSphericalJoints:
             assembled = assemble(model, assembly_errors(model, {"coupler.length": longer}))
             return assembled.preload["A"].moment, assembled
 
-        forward, assembled = jax.jacfwd(preload, has_aux=True)(1e-4)
+        with_slope = jax.jit(lambda longer: jax.jvp(preload, (longer,), (1.0,), has_aux=True))
+        _, forward, assembled = with_slope(1e-4)
         assert int(assembled.status) == 0
         # What holds it against the weight of the bent rod, which is off the line of the balls by micrometres.
         assert np.abs(assembled.preload["B"].moment).max() < 1e-4 * np.abs(assembled.preload["A"].moment).max()
-        ahead, behind = preload(1e-4 + 1e-6)[0], preload(1e-4 - 1e-6)[0]
+        ahead, behind = with_slope(1e-4 + 1e-6)[0], with_slope(1e-4 - 1e-6)[0]
         np.testing.assert_allclose(forward, (ahead - behind) / 2e-6, rtol=1e-6, atol=1e-8)
 
 
@@ -320,11 +317,7 @@ class TestGuideErrors:
             errors = assembly_errors(model, {**slider_cranks.ERRORS, "G.delta_y": value})
             return assemble(model, errors).preload["G"].moment
 
-        forward, backward = jax.jacfwd(preload)(1e-3), jax.jacrev(preload)(1e-3)
-        np.testing.assert_allclose(forward, backward, rtol=1e-8, atol=1e-8 * np.abs(forward).max())
-        step = 1e-5
-        differences = (preload(1e-3 + step) - preload(1e-3 - step)) / (2.0 * step)
-        np.testing.assert_allclose(forward, differences, rtol=1e-5, atol=1e-5 * np.abs(forward).max())
+        check_derivatives(preload, 1e-3, 1e-5, reverse=1e-8, differences=1e-5, floor=1.0)
 
     @pytest.mark.slow
     def test_a_slide_that_is_held_stays_where_it_is(self, model):

@@ -78,7 +78,7 @@ def test_output_angle_without_and_with_errors(study):
         )
         return run.motion.angle, run.motion.angles["D"], run.status
 
-    crank, rocker, status = jax.vmap(angles)(jnp.asarray(errors.reshape(2, 12)))
+    crank, rocker, status = jax.jit(jax.vmap(angles))(jnp.asarray(errors.reshape(2, 12)))
     assert np.asarray(status).tolist() == [0, 0]
     near = mechanism.joint("D").angle
     expected = np.stack([closed_form(mechanism, *case, near) for case in zip(np.asarray(crank), errors, strict=True)])

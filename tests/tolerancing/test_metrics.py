@@ -22,7 +22,7 @@ from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.metrics.catalogue import JOINT_METRICS, RUN_METRICS
 from rfem_jax.tolerancing.problems import metrics
 from rfem_jax.tolerancing.problems.metrics import Metric, metric, register_metric
-from tests.mechanisms import link
+from tests.mechanisms import arm, link
 
 jax.config.update("jax_enable_x64", True)
 
@@ -130,7 +130,7 @@ def registered():
 @pytest.fixture(scope="module")
 def pendulum():
     """A rigid arm that turns at a prescribed rate, half a radian from the horizontal at first."""
-    return discretise(Mechanism([link("arm", 0.3)], [Joint("A", "base", "arm", angle=0.5)], driven_joint="A"))
+    return discretise(arm(angle=0.5))
 
 
 RATE, DURATION = 3.0, 4e-4

@@ -35,21 +35,11 @@ from rfem_jax.tolerancing.problems.simulated_problem import Problem
 from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
 from rfem_jax.tolerancing.sensitivities import sensitivity
 from tests.compilation.functions import covered
-from tests.mechanisms import four_bar, link
+from tests.mechanisms import arm, four_bar, link
 
 DRIVE, DURATION = MomentRamp("A", 0.5, 0.01), 0.02
 WIDTHS = {"A.delta_x": 0.01}
 KEY = jax.random.key(1)
-
-
-def flexible_arm():
-    """One flexible link."""
-    return Mechanism([link("arm", 0.3, 2)], [Joint("A", "base", "arm", angle=0.4)], driven_joint="A")
-
-
-def arm():
-    """One rigid link, for short compilation."""
-    return Mechanism([link("arm", 0.3)], [Joint("A", "base", "arm", angle=0.4)], driven_joint="A")
 
 
 @pytest.fixture
