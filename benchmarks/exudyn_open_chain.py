@@ -25,8 +25,8 @@ from rfem_jax import (
     discretise,
     simulate,
 )
+from rfem_jax.description.tolerances.error_catalogue import error_dimension
 from rfem_jax.mechanics.dynamics.loads import static_state
-from rfem_jax.mechanics.model.with_errors import error_dimension
 
 DURATION, SAVE_EVERY = 0.05, 1e-3
 STEPS = (2e-5, 1e-5)

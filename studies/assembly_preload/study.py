@@ -42,7 +42,7 @@ from rfem_jax import (  # noqa: E402
     discretise,
     load_study,
 )
-from rfem_jax.mechanics.model.with_errors import error_dimension  # noqa: E402
+from rfem_jax.description.tolerances.error_catalogue import error_dimension  # noqa: E402
 from rfem_jax.report.output import write_csv, write_json  # noqa: E402
 from rfem_jax.simulation.turn import ClosedPose, closed_poses, held_at  # noqa: E402
 
