@@ -1,10 +1,10 @@
 """Which loop over steps: ours within one kernel, one of JAX around kernels of a step, or `diffrax.diffeqsolve`.
 
-    python benchmarks/diffrax_loop.py [--methods generalised_alpha rk4] [--batches 1 16 64] [--derivatives]
+    python benchmarks/diffrax_loop.py [--methods generalised_alpha rk4] [--batches 1 16 64] [--steps N]
 
-The same solver and the same steps in all of them, on the main study's mechanism with errors in joint D, from its
-static start; seconds of the processor until the first result, and microseconds of a sample's step in batches, medians
-of five runs. `--derivatives`: of the values and their derivatives by three errors in forward mode.
+The same solver and the same steps in all of them, on the main study's mechanism with errors in joint D, after its
+static start: seconds of the processor until the first result, nothing kept, and microseconds of a sample's step in
+batches, medians of five runs.
 """
 
 import argparse
@@ -16,6 +16,8 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
+
+os.environ.setdefault("RFEM_JAX_NO_CACHE", "1")
 
 import jax
 
@@ -34,6 +36,7 @@ STUDY = load_study(Path(__file__).parents[1] / "studies" / "four_bar" / "study.t
 METHODS = {"generalised_alpha": GeneralisedAlpha(step=1e-3, tolerance=1e-3), "rk4": RungeKutta4(step=1e-5)}
 STEPS = {"generalised_alpha": 200, "rk4": 2000}
 ERRORS = ("D.delta_x", "D.delta_z", "D.d_y")
+TERMS = diffrax.ODETerm(stepping.vector_field)
 REPEATS = 5
 
 
@@ -101,57 +104,48 @@ def by_diffeqsolve(solver, terms, y, conditions, memory, h, steps):
 LOOPS = {"one kernel": by_one_kernel, "lax.scan": by_scan, "diffeqsolve": by_diffeqsolve}
 
 
-def loads(name: str, loop: Callable) -> Callable:
-    """Three errors (3,) -> integrals of squared joint loads."""
-    model, method, steps = discretise(STUDY.mechanism), METHODS[name], STEPS[name]
+def starts(name: str, points, steps: int) -> tuple:
+    """State, conditions and memory at the start of the steps, with errors (samples, 3)."""
+    model, method = discretise(STUDY.mechanism), METHODS[name]
     grid, _ = integration.grid_for(STUDY.drive, method.step * steps, method, method.step * steps)
     whole = stepping.Integration(model, STUDY.drive, grid, method, steps)
-    terms = diffrax.ODETerm(stepping.vector_field)
 
-    def function(point):
+    def start(point):
         prepared = integration.prepare(model, assembly_errors(model, dict(zip(ERRORS, point))), STUDY.drive, None)
-        carry = integration.start_carry(whole, prepared)
-        actual = with_structural_zeros(prepared.actual)
-        operators = whole.operators(prepared.actual)
+        carry, operators = integration.start_carry(whole, prepared), whole.operators(prepared.actual)
         last = None if operators is None else jax.tree.map(lambda x: x[-1], operators)
-        phase = jnp.asarray(0, jnp.int32)
+        actual, phase = with_structural_zeros(prepared.actual), jnp.asarray(0, jnp.int32)
         conditions = Conditions(actual, whole.drives, phase, whole.stabilisation, operators=last)
         y, zero = (carry.trajectory, carry.peaks), jnp.zeros(())
-        memory = whole.solver.resume(terms, zero, zero + method.step, y, conditions, carry.memory)
-        trajectory, _ = loop(whole.solver, terms, y, conditions, memory, method.step, steps)
-        return jnp.concatenate([trajectory.integrals.normal_square, trajectory.integrals.moment_square])
+        return y, conditions, whole.solver.resume(TERMS, zero, zero + method.step, y, conditions, carry.memory)
 
-    return function
+    return whole.solver, jax.block_until_ready(jax.jit(jax.vmap(start))(points))
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--methods", nargs="+", choices=tuple(METHODS), default=list(METHODS))
     parser.add_argument("--batches", type=int, nargs="+", default=[1, 16, 64])
-    parser.add_argument("--derivatives", action="store_true")
+    parser.add_argument("--steps", type=int, help="number of steps (200; 2000 of rk4)")
     options = parser.parse_args()
     print(f"| method, loop | first result s | us a step in batches of {', '.join(map(str, options.batches))} |")
     print("|---|---|---|")
     for name in options.methods:
+        begun, h, steps = {}, METHODS[name].step, options.steps or STEPS[name]
+        for batch in options.batches:
+            points = jnp.asarray([4e-3, 2e-3, 2e-4]) * jnp.linspace(1.0, 0.2, batch)[:, None]
+            solver, begun[batch] = starts(name, points, steps)
         for label, loop in LOOPS.items():
-            function = loads(name, loop)
-            if options.derivatives:
-                plain = function
-
-                def function(point, plain=plain):
-                    value, push = jax.linearize(plain, point)
-                    return value, jax.vmap(push)(jnp.eye(3))
-
-            batched, first, each = jax.jit(jax.vmap(function)), None, []
-            for batch in options.batches:
-                points = jnp.asarray([4e-3, 2e-3, 2e-4]) * jnp.linspace(1.0, 0.2, batch)[:, None]
+            batched = jax.jit(jax.vmap(lambda *start, loop=loop: loop(solver, TERMS, *start, h, steps)))
+            first, each = None, []
+            for batch, start in begun.items():
                 times = []
                 for _ in range(REPEATS + 1):
                     started = time.process_time()
-                    jax.block_until_ready(batched(points))
+                    jax.block_until_ready(batched(*start))
                     times.append(time.process_time() - started)
                 first = times[0] if first is None else first
-                each.append(1e6 * statistics.median(times[1:]) / batch / STEPS[name])
+                each.append(1e6 * statistics.median(times[1:]) / batch / steps)
             print(f"| {name}, {label} | {first:.2g} | {', '.join(f'{one:.3g}' for one in each)} |", flush=True)
 
 

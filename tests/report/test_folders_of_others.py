@@ -113,7 +113,7 @@ def test_samples_of_another_accuracy_of_a_method_that_is_chosen(
     changed(task_file, "accuracy = 1e-3", "accuracy = 1e-4")
     capsys.readouterr()
     assert call("monte-carlo", task_file, out) == 2
-    assert "it differs in simulation (there" in capsys.readouterr().err
+    assert "which differs in simulation (there" in capsys.readouterr().err
 
 
 def test_steps_are_chosen_for_the_samples_by_the_samples(task_file, monkeypatch, tmp_path):  # noqa: F811
