@@ -155,8 +155,10 @@ def test_steps_of_many_lengths_stay_smooth(bar):
     run = run_of(bar, table, LONG)
     smooth = MomentFunction("A", lambda t, phase: jnp.sin(120.0 * t))
     wanted = run_of(bar, smooth, RungeKutta4(step=1e-4))
-    np.testing.assert_allclose(run.motion.rate, wanted.rate, rtol=0, atol=2e-3 * float(np.abs(wanted.rate).max()))
-    np.testing.assert_allclose(run.motion.angle, wanted.angle, rtol=0, atol=2e-3 * float(np.abs(wanted.angle).max()))
+    np.testing.assert_allclose(
+        run.motion.rate, wanted.motion.rate, rtol=0, atol=2e-3 * float(np.abs(wanted.motion.rate).max())
+    )
+    np.testing.assert_allclose(run.motion.angle, wanted.motion.angle, rtol=0, atol=2e-3 * float(np.abs(wanted.motion.angle).max()))
     scale = float(np.abs(wanted.loads["A"].force).max())
     np.testing.assert_allclose(run.loads["A"].force, wanted.loads["A"].force, rtol=0, atol=2e-3 * scale)
 

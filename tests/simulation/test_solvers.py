@@ -148,7 +148,7 @@ def test_other_methods_agree_with_runge_kutta(small, method):
     run = simulate(Simulation(small.model, **settings), assembly_errors(small.model, ERRORS))
     exact = small.run(ERRORS)
     assert int(run.status) == 0
-    np.testing.assert_allclose(run.motion.angle[-1], exact.angle[-1], rtol=1e-5)
+    np.testing.assert_allclose(run.motion.angle[-1], exact.motion.angle[-1], rtol=1e-5)
     np.testing.assert_allclose(np.asarray(run.times), np.asarray(exact.times), atol=1e-15)
     for name in "ABCD":
         for kind in ("rms_force", "rms_moment", "max_normal_force"):

@@ -96,7 +96,7 @@ class TestWithoutADrive:
         # A moment drive that gives nothing is the same mechanism: it always held what it drives.
         driven = discretise(dataclasses.replace(falling(), driven_joint="A"))
         other = simulate(Simulation(driven, drive=MomentTable("A", [0.0, 1.0], [0.0, 0.0]), **settings))
-        np.testing.assert_allclose(run.motion.angles["D"], other.angles["D"], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(run.motion.angles["D"], other.motion.angles["D"], rtol=0, atol=1e-12)
 
     @pytest.mark.slow
     def test_an_equilibrium_is_there_for_who_asks(self):
@@ -106,7 +106,7 @@ class TestWithoutADrive:
         assert float(run.energy.kinetic[-1]) < 1e-20
         same = discretise(dataclasses.replace(falling(), start="equilibrium"))
         other = simulate(Simulation(same, drive=None, duration=0.01, method=RungeKutta4(step=5e-3)))
-        np.testing.assert_array_equal(run.motion.angles["A"], other.angles["A"])
+        np.testing.assert_array_equal(run.motion.angles["A"], other.motion.angles["A"])
         back = simulate(Simulation(same, drive=None, duration=0.01, method=RungeKutta4(step=5e-3), start="as_given"))
         np.testing.assert_allclose(back.motion.angles["A"][0], -np.pi / 2, rtol=0, atol=1e-14)
 

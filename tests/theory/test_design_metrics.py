@@ -234,7 +234,7 @@ def test_a_section_of_given_stiffnesses_needs_its_edge_for_stresses():
     np.testing.assert_allclose(edge[0], [210e9 / 3e7, 210e9 * 0.02 / 400, 210e9 * 0.01 / 900, 1e6])
     bar = Link("bar", LENGTH, GivenSection(*GIVEN), rfes=2)
     model = discretise(Mechanism([bar], [Joint("A", "base", "bar")], driven_joint="A"))
-    with pytest.raises(InputError, match="`bar.peak_stress` is not: the edge of its section is not known"):
+    with pytest.raises(InputError, match="there is no `bar.peak_stress`: the edge of its section is not known"):
         Problem(Simulation(model, drive=STILL, duration=1e-4, method=RungeKutta4(step=1e-6)), "bar.peak_stress")
 
 
@@ -309,7 +309,7 @@ def test_the_loads_of_a_crank_s_bearing_and_its_power():
     assert float(values["A.bearing_damage"]) == pytest.approx((load / 2000) ** 3 * swept / (2e6 * np.pi), rel=1e-9)
     inertial = rate**2 * 0.2 * (mass + own / 2)
     assert abs(load - (mass + own) * gravity) < inertial
-    with pytest.raises(InputError, match="`A.friction_loss` is not: it has no friction"):
+    with pytest.raises(InputError, match="there is no `A.friction_loss`: it has no friction"):
         Problem(
             Simulation(model, drive=PrescribedRate("A", rate), duration=0.1, method=RungeKutta4(step=1e-3)),
             "A.friction_loss",

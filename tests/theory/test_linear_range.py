@@ -120,7 +120,7 @@ def test_runs_say_so():
     runs = jax.jit(jax.vmap(run))(jnp.array([0.0, -0.4]))
     assert np.all(np.asarray(runs.status) == 0)
     far, near = (jax.tree.map(lambda x, i=i: x[i], runs) for i in range(2))
-    np.testing.assert_allclose(float(far.linear_error), 0.45 * 0.3**2, rtol=0.03)
+    np.testing.assert_allclose(float(far.checks.linear_error), 0.45 * 0.3**2, rtol=0.03)
     assert "by about 4" in remarks_on(far)[0] and "geometrically_exact" in remarks_on(far)[0]
     assert remarks_on(far)[0] in far.summary()
     assert remarks_on(near) == () and "remark" not in near.summary()

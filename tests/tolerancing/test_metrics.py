@@ -36,13 +36,16 @@ def run(force=FORCE, moment=MOMENT):
     loads = SimpleNamespace(force=jnp.asarray(force), moment=jnp.asarray(moment))
     squares = {"mean_square_force": 4.0, "mean_square_moment": 9.0}
     kinds = {**squares, "rms_force": 2.0, "rms_moment": 3.0, **LARGEST}
+    motion = SimpleNamespace(
+        angles={"A": jnp.array([0.5, 2.0, -1.0])},
+        displacements={"A": jnp.array([0.1, 0.4, 0.2])},
+        angle_end=jnp.asarray(1.25),
+    )
     return SimpleNamespace(
         loads={"A": loads},
         preload={"A": SimpleNamespace(force=jnp.array([1.0, 2, 2]), moment=jnp.array([0.0, 3, 4]))},
         metrics=SimpleNamespace(**{name: {"A": value} for name, value in kinds.items()}),
-        angles={"A": jnp.array([0.5, 2.0, -1.0])},
-        displacements={"A": jnp.array([0.1, 0.4, 0.2])},
-        driven_joint=SimpleNamespace(angle_end=jnp.asarray(1.25)),
+        motion=motion,
         energy=SimpleNamespace(total=jnp.array([1.0, 0.5])),
     )
 
