@@ -158,7 +158,9 @@ def test_steps_of_many_lengths_stay_smooth(bar):
     np.testing.assert_allclose(
         run.motion.rate, wanted.motion.rate, rtol=0, atol=2e-3 * float(np.abs(wanted.motion.rate).max())
     )
-    np.testing.assert_allclose(run.motion.angle, wanted.motion.angle, rtol=0, atol=2e-3 * float(np.abs(wanted.motion.angle).max()))
+    np.testing.assert_allclose(
+        run.motion.angle, wanted.motion.angle, rtol=0, atol=2e-3 * float(np.abs(wanted.motion.angle).max())
+    )
     scale = float(np.abs(wanted.loads["A"].force).max())
     np.testing.assert_allclose(run.loads["A"].force, wanted.loads["A"].force, rtol=0, atol=2e-3 * scale)
 
