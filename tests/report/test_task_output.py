@@ -77,7 +77,7 @@ def test_another_study_overwrites_results_of_all_tasks_but_monte_carlo(task_file
     errors = capsys.readouterr().err
     sentence = next(line for line in errors.splitlines() if "--out" in line)
     assert "`resume`" not in errors
-    assert "of another" in sentence and "tolerances" in sentence
+    assert "another study" in sentence and "tolerances" in sentence
     assert f"remove `{out / 'monte_carlo'}`" in sentence
 
 
