@@ -10,6 +10,7 @@ computed and shown (a subclass of `TaskReport`). Those of the kinds below are kn
 """
 
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from typing import Any
 
@@ -69,46 +70,48 @@ OTHER_TABLES = ("turn", "modes", "cycle", "comparison", "comparison_tasks", "val
 # Subcommands that are no tasks, in the order of `--help`: each is a file of `rfem_jax.report.commands` of that name.
 COMMANDS = ("init", "run", "modes", "turn", "cycle", "check", "compare", "keys", "parameters", "report", "validate")
 
+# Their classes are those of the two catalogues.
+_own = partial(TaskKind, asks=None, reports=None)
 _OF_THE_PACKAGE = (
-    TaskKind(
-        "sensitivity", None, None,
+    _own(
+        "sensitivity",
         purpose="derivatives of joint loads with respect to assembly errors",
         results="ranked tables, principal directions, heat map, tornado chart",
     ),
-    TaskKind(
-        "monte_carlo", None, None,
+    _own(
+        "monte_carlo",
         title="Monte Carlo",
         purpose="scatter, quantiles and yield over the tolerances; continues an interrupted run",
         results="statistics, all samples, histograms, scatter matrix; chunks of samples in DIR/monte_carlo",
         many_processes=True,
         kept="finished chunks of a Monte Carlo study",
     ),
-    TaskKind(
-        "worst_case", None, None,
+    _own(
+        "worst_case",
         purpose="largest loads anywhere within the tolerances",
         results="the worst errors, all corners, the quadratic model's prediction",
     ),
-    TaskKind(
-        "allocation", None, None,
+    _own(
+        "allocation",
         command="allocate",
         purpose="the cheapest tolerances that keep limits on loads",
         results="tolerances before and after, verified margins, cost against limits",
         tables=("allocation_front",),
     ),
-    TaskKind(
-        "sweep", None, None,
+    _own(
+        "sweep",
         purpose="metrics over ranges of errors and dimensions, the surface through them; continues an interrupted run",
         results="all points, the response surface with its error, responses, contours; chunks of points in DIR/sweep",
         many_processes=True,
         kept="finished chunks of a sweep",
     ),
-    TaskKind(
-        "reliability", None, None,
+    _own(
+        "reliability",
         purpose="probabilities that limits are broken, however small (FORM, importance sampling, subset simulation)",
         results="probabilities with intervals, the most probable failures, what errors contribute to them",
     ),
-    TaskKind(
-        "optimise", None, None,
+    _own(
+        "optimise",
         purpose="the best dimensions and tolerances that keep limits",
         results="dimensions and tolerances before and after, verified margins, Pareto front",
         kept="evaluations of an optimisation",

@@ -56,16 +56,12 @@ def check_derivatives(
     reverse: float,
     differences: float,
     floor: float = 0.0,
-    exact: Any = None,
-    exactly: float = 0.0,
 ) -> Jacobians:
-    """Assert that both modes agree within `reverse`, with differences within `differences`, and with `exact`
-    derivatives, where they are known, within `exactly`: all relative to the derivative, or to the share `floor` of the
-    largest one if that is more."""
+    """Assert that both modes agree within `reverse`, and with differences within `differences`: relative to the
+    derivative, or to the share `floor` of the largest one if that is more."""
     found = jacobians(function, at, steps)
     assert np.isfinite(found.forward).all()
     scale = np.maximum(np.abs(found.forward), floor * np.abs(found.forward).max())
-    for other, within in ((found.reverse, reverse), (found.differences, differences), (exact, exactly)):
-        if other is not None:
-            np.testing.assert_array_less(np.abs(other - found.forward), within * scale + np.finfo(float).tiny)
+    for other, within in ((found.reverse, reverse), (found.differences, differences)):
+        np.testing.assert_array_less(np.abs(other - found.forward), within * scale + np.finfo(float).tiny)
     return found

@@ -57,7 +57,7 @@ class Cycle(eqx.Module):
 
 
 def steady_cycle(
-    simulation: Simulation | Model,
+    simulation: Simulation | Model | None = None,
     errors: Errors | None = None,
     *,
     tolerance: float = 1e-6,
@@ -104,7 +104,7 @@ def steady_cycle(
 
 def cycle_run(
     cycle: Cycle,
-    simulation: Simulation | Model,
+    simulation: Simulation | Model | None = None,
     errors: Errors | None = None,
     *,
     record: str | Iterable[str] = (),

@@ -322,7 +322,9 @@ class Run(eqx.Module):
         import rfem_jax  # for its lazy names: what shows a run is above this package in the pipeline
 
         warnings.warn(
-            "run.report(path) is called rfem_jax.report_run(run, path) now.", DeprecationWarning, stacklevel=2
+            "`run.report(path)` is `rfem_jax.report_run(run, path)` now; a later version needs that.",
+            DeprecationWarning,
+            stacklevel=3,  # beyond Equinox
         )
         return rfem_jax.report_run(self, path)
 

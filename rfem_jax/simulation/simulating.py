@@ -18,7 +18,7 @@ from rfem_jax.simulation.specification import Simulation, simulation_of_call
 
 
 def simulate(
-    simulation: Simulation | Model,
+    simulation: Simulation | Model | None = None,
     errors: Errors | None = None,
     *,
     adjoint: diffrax.AbstractAdjoint | None = None,

@@ -184,14 +184,17 @@ def _checked_trials(model: Model, trials: Any) -> dict[str, ArrayLike]:
     return dict(trials)
 
 
-def simulation_of_call(function: str, given: Simulation | Model, former: dict[str, Any]) -> Simulation:
+def simulation_of_call(function: str, given: Simulation | Model | None, former: dict[str, Any]) -> Simulation:
     """The simulation that a function was given; of a model with the arguments of an earlier version, which warns.
 
-    **Arguments:** `former`: arguments by names that the function does not have.
+    **Arguments:** `former`: arguments by names that the function does not have, `model` among them in the place of
+    what was `given`.
 
     **Raises:** `InputError` for names that are not known, or of a simulation beside one.
     """
     of_simulation = ("drive", "duration", "method", "save_every", "start", "design", "trials")
+    if given is None and "model" in former:
+        given, former = former["model"], {name: value for name, value in former.items() if name != "model"}
     if isinstance(given, Model) and former and set(former) <= set(of_simulation):
         arguments = ", ".join(f"{name}=..." for name in former)
         warnings.warn(
@@ -208,7 +211,8 @@ def simulation_of_call(function: str, given: Simulation | Model, former: dict[st
         )
     if not isinstance(given, Simulation):
         raise InputError(
-            f"Argument `simulation` of `{function}` must be a Simulation, but is {type(given).__name__}; make it by "
-            "Simulation(model, drive=..., duration=...)."
+            f"Argument `simulation` of `{function}` must be a Simulation, but is "
+            f"{'missing' if given is None else type(given).__name__}; make it by Simulation(model, drive=..., "
+            "duration=...)."
         )
     return given

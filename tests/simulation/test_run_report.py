@@ -109,8 +109,9 @@ def test_the_page_of_a_run(run, tmp_path):
     assert [one["name"] for one in content["animation"]["links"]] == list(run.model.link_names)
     labels = [one["label"] for one in content["histories"]["quantities"]]
     assert {"Force in A", "Moment in D", "A angle", "Rate", "Kinetic energy"} <= set(labels)
-    with pytest.warns(DeprecationWarning, match="report_run"):
+    with pytest.warns(DeprecationWarning, match="report_run") as caught:
         assert run.report(tmp_path / "mine.html") == tmp_path / "mine.html"
+    assert caught[0].filename == __file__
     assert (tmp_path / "mine.html").exists()
 
 
@@ -118,3 +119,5 @@ def test_a_batch_has_no_page(run, tmp_path):
     batch = jax.tree.map(lambda x: np.stack([x, x]), run)
     with pytest.raises(InputError, match="take one"):
         report_run(batch, tmp_path)
+    with pytest.raises(InputError, match="must be a Run, but is dict"):
+        report_run({}, tmp_path)

@@ -197,6 +197,19 @@ def test_errors_of_another_mechanism_are_refused(model, simulation):
     np.testing.assert_array_equal(by_name.preload["C"].moment, assemble(model, of_same_rfes).preload["C"].moment)
 
 
+@pytest.mark.parametrize("value", [None, True, 1e-3 + 1j, [1e-3], np.array([1e-3, 2e-3])], ids=str)
+def test_errors_are_real_numbers(model, value):
+    for name in ("D.delta_x", "coupler.length", "steel.density"):
+        with refused("`errors`", f"'{name}'", "jax.vmap"):
+            assemble(model, {name: value})
+
+
+def test_a_batch_of_errors_is_mapped_over(model, simulation):
+    batch = jax.vmap(lambda tilt: assembly_errors(model, {"D.delta_x": tilt}))(jnp.array([0.0, 1e-3]))
+    with refused("`errors`", "one assembly", "jax.vmap"):
+        simulate(simulation, batch)
+
+
 def test_calls_of_the_version_before_work_and_warn(model, simulation):
     settings = {"duration": 0.01, "method": METHOD, "save_every": 1e-3}
     drive, errors = simulation.drive, assembly_errors(model, {"D.delta_x": 1e-3})
@@ -204,11 +217,20 @@ def test_calls_of_the_version_before_work_and_warn(model, simulation):
         former = simulate(model, errors, drive=drive, **settings)
     now = simulate(simulation, {"D.delta_x": 1e-3})
     np.testing.assert_array_equal(former.loads.force, now.loads.force)
+    with pytest.warns(DeprecationWarning, match=r"simulate\(Simulation\("):
+        by_names = simulate(model=model, errors=errors, drive=drive, **settings)
+    np.testing.assert_array_equal(by_names.loads.force, now.loads.force)
+    with refused("`simulation`", "missing"):
+        simulate(errors=errors)
     with pytest.warns(DeprecationWarning, match=r"Problem\(Simulation\("):
         problem = Problem(model, drive, 0.01, "A.rms_force", METHOD, save_every=1e-3)
     with pytest.warns(DeprecationWarning, match=r"Problem\(Simulation\(") as caught:
         by_names = Problem(model, drive=drive, duration=0.01, metrics="A.rms_force", method=METHOD, save_every=1e-3)
     assert caught[0].filename == __file__ and by_names.metrics == problem.metrics
+    with pytest.warns(DeprecationWarning, match=r"Problem\(Simulation\("):
+        longer = dataclasses.replace(problem, design=design(model, {"crank.length": 0.121}))
+    designed = Problem(dataclasses.replace(simulation, design=longer.design), "A.rms_force")
+    assert longer({"D.delta_x": 1e-3})[0] == designed({"D.delta_x": 1e-3})[0]
     values, _ = problem({"D.delta_x": 1e-3})
     assert values == Problem(simulation, "A.rms_force")({"D.delta_x": 1e-3})[0]
 

@@ -1,5 +1,6 @@
 """Metrics of runs made by hand: every catalogued one against its definition, roots at zero; registered ones."""
 
+import pickle
 from types import SimpleNamespace
 
 import jax
@@ -176,6 +177,12 @@ def test_a_problem_refuses_metrics_that_it_cannot_compute(registered, pendulum):
         with pytest.raises(InputError) as caught:
             build(pendulum, names)
         assert words in str(caught.value)
+
+
+def test_a_problem_goes_to_another_process(pendulum):
+    problem = build(pendulum, ("A.rms_force", "end_energy"))
+    other = pickle.loads(pickle.dumps(problem))
+    assert other.metrics == problem.metrics and other({})[0] == problem({})[0]
 
 
 def test_a_metric_that_is_replaced_is_another_one(registered):

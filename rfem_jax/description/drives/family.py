@@ -156,22 +156,29 @@ class GivenTable(GivenDrive):
         return laws.table_at(self.values, self.times, t, phase)
 
 
-class GivenFunction(GivenDrive):
-    """A force as a function of time and phase."""
+class OfFunction(AnyMotion):
+    """A drive by a function of the user's, with the `times` [s] at which it jumps."""
 
     joint: str = eqx.field(static=True)
     function: Callable[..., Scalar]
     times: tuple[float, ...] = eqx.field(static=True)
 
-    def __init__(self, joint: str, function: Law, breakpoints: Quantities = (), motion: str | None = None):
+    def _begin(self, joint: str, function: Law, breakpoints: Quantities, motion: str | None) -> None:
         checks = drive_checks(self, joint, motion)
         checks.set("times", breakpoints, checked_breakpoints)
         checks.set("function", function, function_of_time)
         checks.refuse()
-        self.function = checked_function_of_time(self.function, with_phase=True)
 
     def breakpoints(self) -> tuple[float, ...]:
         return self.times
+
+
+class GivenFunction(OfFunction, GivenDrive):
+    """A force as a function of time and phase."""
+
+    def __init__(self, joint: str, function: Law, breakpoints: Quantities = (), motion: str | None = None):
+        self._begin(joint, function, breakpoints, motion)
+        self.function = checked_function_of_time(self.function, with_phase=True)
 
     def force_at(self, t: Time, phase: Phase) -> Scalar:
         return self.function(jnp.asarray(t, jnp.float64), as_phase(phase))

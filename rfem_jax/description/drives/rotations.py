@@ -8,7 +8,6 @@ acceleration [rad/s^2]. Source: theory (3.5), (3.6), (3.15).
 """
 
 import abc
-from collections.abc import Callable
 from typing import ClassVar
 
 import equinox as eqx
@@ -23,10 +22,7 @@ from rfem_jax.description.drives.arguments import (
     Scalar,
     Time,
     as_phase,
-    checked_breakpoints,
     checked_function_of_time,
-    drive_checks,
-    function_of_time,
 )
 from rfem_jax.description.drives.family import (
     GivenDrive,
@@ -34,6 +30,7 @@ from rfem_jax.description.drives.family import (
     GivenRamp,
     GivenTable,
     Law,
+    OfFunction,
     PrescribedDrive,
     PrescribedRise,
     PrescribedSmoothRise,
@@ -169,7 +166,7 @@ class PrescribedTable(PrescribedSpline):
         self._begin(joint, times, angles, motion)
 
 
-class PrescribedFunction(PrescribedDrive):
+class PrescribedFunction(OfFunction, PrescribedDrive):
     """Change of the angle, or displacement, as a Python function written in JAX; its derivatives are taken by JAX.
 
     Args:
@@ -181,15 +178,8 @@ class PrescribedFunction(PrescribedDrive):
             the joint's only one.
     """
 
-    joint: str = eqx.field(static=True)
-    function: Callable[..., Scalar]
-    times: tuple[float, ...] = eqx.field(static=True)
-
     def __init__(self, joint: str, function: Law, breakpoints: Quantities = (), motion: str | None = None):
-        checks = drive_checks(self, joint, motion)
-        checks.set("times", breakpoints, checked_breakpoints)
-        checks.set("function", function, function_of_time)
-        checks.refuse()
+        self._begin(joint, function, breakpoints, motion)
         function_with_leaves = checked_function_of_time(self.function, with_phase=bool(self.times))
         start = self._angle(jnp.zeros((), jnp.float64), 0)
         if not isinstance(start, Tracer) and not abs(float(start)) <= 1e-12:
@@ -198,9 +188,6 @@ class PrescribedFunction(PrescribedDrive):
                 "of the angle or displacement since the start."
             )
         self.function = function_with_leaves
-
-    def breakpoints(self) -> tuple[float, ...]:
-        return self.times
 
     def _angle(self, t: Time, phase: Phase) -> Scalar:
         return self.function(t, phase) if self.times else self.function(t)

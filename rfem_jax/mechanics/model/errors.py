@@ -76,6 +76,7 @@ def assembly_errors(model: Model, values: Mapping[str, ArrayLike | str] | None =
     }
     traced, deviations = [], {}
     for name, value in (values or {}).items():
+        _require_number(name, value)
         if name not in topology.error_names and model.source is not None and name in model.source.blueprint.names:
             parameter = model.source.blueprint.names[name]
             number = quantity(value, parameter.dimension, f"error {name!r}") if isinstance(value, str) else value
@@ -121,13 +122,32 @@ def require_errors_of(topology: Topology, errors: AssemblyErrors) -> None:
     seats = len(topology.error_components), len(topology.joints)
     shapes = seats, seats, (2, len(topology.joints)), (topology.n_links,), (topology.n_links,)
     arrays = errors.seat, errors.bore, errors.pin, errors.length, errors.twist
-    if (owners.joints, owners.links) == (topology.joints, topology.links) and shapes == tuple(map(jnp.shape, arrays)):
-        return
+    if (owners.joints, owners.links) == (topology.joints, topology.links):
+        given = tuple(map(jnp.shape, arrays))
+        if given == shapes:
+            return
+        raise InputError(
+            f"Argument `errors` must be those of one assembly, but has arrays of the shape {given[0]} in the place of "
+            f"{shapes[0]}; map over several assemblies by jax.vmap."
+        )
     raise InputError(
         f"Argument `errors` must be errors of this mechanism, with joints {', '.join(topology.joints)} and links "
         f"{', '.join(topology.links)}, but is for joints {', '.join(owners.joints)} and links "
         f"{', '.join(owners.links)}; make it by assembly_errors(model, {{...}}) with the same model."
     )
+
+
+def _require_number(name: str, value: ArrayLike | str) -> None:
+    """Raise InputError for the value of an error that is neither a real number nor a string."""
+    if isinstance(value, str):
+        return
+    kind = value.dtype.kind if isinstance(value, Tracer) else np.asarray(value).dtype.kind
+    if kind not in "fiu" or np.ndim(value) != 0:
+        what = f"an array of the shape {np.shape(value)}" if np.ndim(value) else repr(value)
+        raise InputError(
+            f"Argument `errors` must hold numbers, but {name!r} is {what}; give a number in SI units or a string with "
+            "a unit, and map over several by jax.vmap."
+        )
 
 
 def sum_of(errors: AssemblyErrors, more: AssemblyErrors) -> AssemblyErrors:

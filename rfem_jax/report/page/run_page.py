@@ -10,7 +10,6 @@ import numpy as np
 
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.mechanics.model.status import STATUS
-from rfem_jax.report.annotations import Run
 from rfem_jax.report.output import versions, without_nan
 from rfem_jax.report.page.animation import pack_animation, record_animation
 from rfem_jax.report.page.document import write_document
@@ -19,6 +18,7 @@ from rfem_jax.report.page.histories import Columns, pack_histories
 from rfem_jax.report.quantities import CHECKS, DRIVEN_JOINT, ENERGIES, JOINT_METRICS, PRELOADS, column_name
 from rfem_jax.report.summary import readable
 from rfem_jax.simulation.remarks import remarks_on
+from rfem_jax.simulation.run import Run
 
 CASE = "run"
 FILE = "report.html"
@@ -31,6 +31,8 @@ def report_run(run: Run, path: str | Path) -> Path:
 
     **Returns:** the file.  **Raises:** `InputError` for a batch; OSError.
     """
+    if not isinstance(run, Run):
+        raise InputError(f"Argument `run` must be a Run, but is {type(run).__name__}; give what `simulate` returns.")
     if np.ndim(run.status) != 0:
         raise InputError(
             f"Argument `run` must be one run, but is a batch of {np.shape(run.status)}; take one of it, for example "

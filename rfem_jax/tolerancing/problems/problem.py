@@ -17,7 +17,7 @@ of the metrics; status, scalar int32, 0 for a good sample.
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, SupportsIndex, runtime_checkable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -82,6 +82,10 @@ class Metric:
         if self.by_name is None:
             raise NotRenamable(self.name)
         return self.by_name(of_other)
+
+    # Pickled for other processes: functions without a name are not, and the catalogue makes its metrics of theirs.
+    def __reduce_ex__(self, protocol: SupportsIndex) -> Any:
+        return super().__reduce_ex__(protocol) if self.by_name is None else (self.by_name, (self.name,))
 
     def _require_function(self) -> Callable[[Any], ArrayLike]:
         if self.function is None or not callable(self.function):

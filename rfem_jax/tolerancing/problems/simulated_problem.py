@@ -81,11 +81,13 @@ class Problem(eqx.Module):
 
     def __init__(
         self,
-        simulation: Simulation | Model,
+        simulation: Simulation | Model | None = None,
         metrics: str | Metric | Iterable[str | Metric] | None = None,
         *further: Any,
         **former: Any,
     ):
+        if simulation is None and "model" in former:
+            simulation, former = former["model"], {name: one for name, one in former.items() if name != "model"}
         if isinstance(simulation, Model):
             simulation, metrics = _of_former_arguments(simulation, metrics, further, former)
         elif further or former:
