@@ -13,7 +13,7 @@ function beforeAndAfter(caption, rows, result, id) {
   const shown = (value, row) => (Number.isFinite(value) ? showError(value, row.unit) : "n/a");
   const kinds = new Set(rows.map((row) => row.kind)).size > 1 ? [{ label: "kind", value: (row) => row.kind }] : [];
   const columns = [
-    { label: "number", value: (row) => row.name }, ...kinds,
+    { label: rows.every((row) => row.kind === "tolerance") ? "tolerance of" : "number", value: (row) => row.name }, ...kinds,
     { label: "before", value: (row) => row.before, show: shown }, { label: "after", value: (row) => row.after, show: shown },
     { label: "at bound", value: (row) => (result.at_bounds || {})[row.name] || (result.at_bounds || {})[`tolerance of ${row.name}`] || "" },
   ];
