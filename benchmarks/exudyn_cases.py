@@ -104,7 +104,7 @@ def plate(cut: bool) -> Mechanism:
     )
     along = JointSpring("along", "P", stiffness=500.0, damping=1.0, rest=0.01, preload=1.0, motion="T_x")
     forces = springs if cut else (*springs, along)
-    return Mechanism(links, joints, gravity=DOWN, driven_joint="A", forces=forces)
+    return Mechanism(links, joints, gravity=DOWN, driven_joint="A", forces=forces, start="equilibrium")
 
 
 def motor() -> Mechanism:
@@ -127,7 +127,7 @@ def motor() -> Mechanism:
     }
     springs = (PointSpring(name, ("base", "block"), points, 2e4, 4.0, 0.2) for name, points in ends.items())
     coil = JointSpring("coil", "A", stiffness=0.6, damping=2e-3, rest=0.3, preload=0.05)
-    return Mechanism(links, joints, gravity=DOWN, driven_joint="A", forces=(coil, *springs))
+    return Mechanism(links, joints, gravity=DOWN, driven_joint="A", forces=(coil, *springs), start="equilibrium")
 
 
 def welded() -> Mechanism:
