@@ -259,10 +259,8 @@ def test_failed_samples_raise_the_quantile_that_the_others_must_hold():
     problem = FunctionProblem(function, ("e0",), ("load",))
     bounds = {"e0": (0.1, 10.0)}
     observer = Observer(check_allocation(problem, {"load": 2.0}, Reciprocal(), bounds))
-    study = CorrectedStatistics(
-        observer, KEY, "yield", level=0.9, coverage=3.0, statistic="quantile", distribution=Uniform,
-        samples=512, verify_samples=64,
-    )  # fmt: skip
+    sample = ErrorSample("yield", level=0.9, coverage=3.0, distribution=Uniform, samples=512, verify_samples=64)
+    study = CorrectedStatistics(observer, KEY, sample, "quantile")
     h = study.observe(np.array([1.0]), KEY)
     assert 2.0 + 2.0 * h[0] == pytest.approx(0.8, abs=0.01)
     assert study.failed == pytest.approx(0.05 * 512, abs=2)
