@@ -36,7 +36,6 @@ STUDY = load_study(Path(__file__).parents[1] / "studies" / "four_bar" / "study.t
 METHODS = {"generalised_alpha": GeneralisedAlpha(step=1e-3, tolerance=1e-3), "rk4": RungeKutta4(step=1e-5)}
 STEPS = {"generalised_alpha": 200, "rk4": 2000}
 ERRORS = ("D.delta_x", "D.delta_z", "D.d_y")
-TERMS = diffrax.ODETerm(stepping.vector_field)
 REPEATS = 5
 
 
@@ -117,7 +116,7 @@ def starts(name: str, points, steps: int) -> tuple:
         actual, phase = with_structural_zeros(prepared.actual), jnp.asarray(0, jnp.int32)
         conditions = Conditions(actual, whole.drives, phase, whole.stabilisation, operators=last)
         y, zero = (carry.trajectory, carry.peaks), jnp.zeros(())
-        return y, conditions, whole.solver.resume(TERMS, zero, zero + method.step, y, conditions, carry.memory)
+        return y, conditions, whole.solver.resume(stepping.TERMS, zero, zero + method.step, y, conditions, carry.memory)
 
     return whole.solver, jax.block_until_ready(jax.jit(jax.vmap(start))(points))
 
@@ -136,7 +135,7 @@ def main() -> None:
             points = jnp.asarray([4e-3, 2e-3, 2e-4]) * jnp.linspace(1.0, 0.2, batch)[:, None]
             solver, begun[batch] = starts(name, points, steps)
         for label, loop in LOOPS.items():
-            batched = jax.jit(jax.vmap(lambda *start, loop=loop: loop(solver, TERMS, *start, h, steps)))
+            batched = jax.jit(jax.vmap(lambda *start, loop=loop: loop(solver, stepping.TERMS, *start, h, steps)))
             first, each = None, []
             for batch, start in begun.items():
                 times = []

@@ -20,6 +20,7 @@ BESIDE = (
     "task_kinds",
     "labelled_data",
     "lazy_names",
+    "progress_line",
     "rich_text",
     "text_layout",
     "usable_cores",

@@ -268,9 +268,7 @@ def _loads_of(trial: Integration, prepared: Prepared, carry: Carry):
     model, grid = trial.model, trial.grid
     carry, energy = integration.advance_unobserved(trial, prepared.actual, carry)
     rms = load_summary(model, carry, grid.starts[-1] + grid.lengths[-1]).rms[:, joint_places(model)]
-    largest = balances.largest_force(carry)
-    if model.friction is not None:
-        largest = jnp.maximum(largest, jnp.max(rms[1]) / jnp.max(model.length))
+    largest = balances.force_or_moment(model, balances.largest_force(carry), jnp.max(rms[1]))
     residual = carry.residual / jnp.where(largest > 0.0, largest, 1.0)
     balance = balances.balance_error(model, energy, largest)
     return rms, residual, balance, prepared.status == OK

@@ -99,6 +99,12 @@ def largest_force(carry: Carry) -> Float[Array, ""]:
     return equations.safe_sqrt(equations.largest_component(carry.peaks))
 
 
+def force_or_moment(model: Model, force: Float[Array, ""], moment: Float[Array, ""]) -> Float[Array, ""]:
+    """A largest force [N], or with friction, whose moments may be the only loads, a moment [N m] over the longest link
+    where that is larger."""
+    return force if model.friction is None else jnp.maximum(force, moment / length_scale(model))
+
+
 def force_scale(
     model: Model,
     actual: ModelWithErrors,
@@ -110,10 +116,8 @@ def force_scale(
     """Force [N] with which residual forces are compared: the largest joint force. It is at least the largest RMS moment
     over the longest link with friction, which may be the only load; the kinetic energy over that link with free links,
     whose joints carry no load; and the effect of rounding in the `shortest` step [s]."""
-    largest = largest_force(carry)
-    if model.friction is not None:
-        mean_square = jnp.max(carry.trajectory.integrals.moment_square) / duration
-        largest = jnp.maximum(largest, equations.safe_sqrt(mean_square) / length_scale(model))
+    mean_square = jnp.max(carry.trajectory.integrals.moment_square) / duration
+    largest = force_or_moment(model, largest_force(carry), equations.safe_sqrt(mean_square))
     if carry.memory is not None:
         largest = jnp.maximum(largest, rounding_force(actual, length_scale(model), shortest))
     if "free" not in model.topology.kinds:

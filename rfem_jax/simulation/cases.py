@@ -31,7 +31,7 @@ from rfem_jax.simulation.run import Run, of_model, one_of
 from rfem_jax.simulation.simulating import simulate
 from rfem_jax.simulation.specification import Simulation
 from rfem_jax.simulation.stepping import Integration
-from rfem_jax.simulation.time_grid import TimeGrid, of_any_step
+from rfem_jax.simulation.time_grid import TimeGrid
 from rfem_jax.simulation.unfinished import Unfinished
 
 PIECES = 20
@@ -89,8 +89,7 @@ def run_cases(
         runs = with_limit(_run_with_parameters(model, errors, drive, study, method, asked), model, drive)
         return model, Runs({case.name: one_of(runs, i) for i, case in enumerate(study.cases)})
     unfinished = Unfinished(keep, (model, errors, drive, study.duration, method, study.save_every))
-    method, grid, steps = of_any_step(method, grid, steps)
-    whole = Integration(model, drive, grid, method, steps)
+    whole = Integration.of_any_step(model, drive, grid, steps, method, errors)
     prepared, carry = integration.prepare_batch(whole, errors)
     try:
         carry, ends = _advance_all(whole, prepared, carry, unfinished, progress)

@@ -24,7 +24,7 @@ from rfem_jax.mechanics.statics.designs import Designed, status_of
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.equations import Numbers, Scalar
 from rfem_jax.simulation.observation import Record
-from rfem_jax.simulation.run import Checks, DriveHistory, LoadIntegrals, Loads, Metrics, Motion, Run
+from rfem_jax.simulation.run import Checks, DriveHistory, LoadIntegrals, Loads, Metrics, Motion, Run, of_model
 from rfem_jax.simulation.stepping import Carry
 
 
@@ -191,6 +191,11 @@ def _joint_values(model: Model, values: Float[Numbers, "*axes joints"]) -> dict[
 def joint_places(model: Model) -> np.ndarray:
     """Places of the joints along the axes of joints, in the order of the description."""
     return np.array([model.topology.joints.index(name) for name in model.joint_names])
+
+
+def run_of_design(made: Designed, conclusion: Conclusion) -> Run:
+    """The run with the model and the errors that were simulated."""
+    return with_status(of_model(run_of(made.model, conclusion), made.model, made.errors), made)
 
 
 def with_status(run: Run, made: Designed) -> Run:

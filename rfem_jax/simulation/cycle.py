@@ -80,9 +80,8 @@ def steady_cycle(
     model, method, design = simulation.model, simulation.chosen, simulation.design
     drive, period = _with_period(model, require_constant_rate(model, simulation.drive), design)
     grid, steps = integration.grid_for(drive, period, method, simulation.save_every, model)
-    errors = errors_of(model, errors)
-    made = designed(model, design, errors)
-    model, errors = made.model, errors if made.errors is None else made.errors
+    made = designed(model, design, errors_of(model, errors))
+    model, errors = made.model, made.errors
     asked, revolution = require_records(model, record), Integration(model, drive, grid, method, steps)
     state, conclusion = _revolution(revolution, errors, None, asked)
     start, pairs = state, []
@@ -123,7 +122,6 @@ def cycle_run(
     drive, period = _with_period(model, require_constant_rate(model, simulation.drive), design)
     grid, steps = integration.grid_for(drive, period, method, simulation.save_every, model)
     made = designed(model, design, errors_of(model, errors))
-    assert made.errors is not None, "errors were given"
     asked = require_records(model, record)
     conclusion = _periodic(Integration(made.model, drive, grid, method, steps), made.errors, cycle.start, asked)
     return with_status(run_of(made.model, conclusion), made)
@@ -197,7 +195,8 @@ def require_constant_rate(model: Model, drive: Drive) -> PrescribedRate:
 
 @partial(Program, nameless=True)
 def _revolution(revolution: Integration, errors, start: State | None, asked) -> tuple[State, Conclusion]:
-    prepared, carry, ends = integration.integrated(revolution, errors, start)
+    prepared = integration.prepare(revolution.model, errors, revolution.drive, start)
+    carry, ends = integration.advance(revolution, prepared.actual, integration.start_carry(revolution, prepared))
     conclusion = integration.conclude(revolution, prepared, carry, ends, asked)
     return State(carry.trajectory.position, carry.trajectory.velocity), conclusion
 

@@ -156,12 +156,12 @@ def _label(topology: Topology, drive: AnyDrive) -> str:
     return motion_label(drive.joint, kind, driven_motion(drive, kind))
 
 
-def drive_of_design(model: Model, drive: Drive, design: Design) -> Drive:
-    """The drives with the numbers of a design.
+def drive_of_design(model: Model, drive: Drive, design: Design | None) -> Drive:
+    """The drives with the numbers of a design, if there is one.
 
     **Raises:** `InputError` for numbers that they do not have.
     """
-    return drives_with(*_labelled(model, drive), design.drives) if design.drives else drive
+    return drives_with(*_labelled(model, drive), design.drives) if design is not None and design.drives else drive
 
 
 def drive_numbers(model: Model, drive: Drive, design: Design | None) -> dict[str, Array | float]:

@@ -22,7 +22,7 @@ from rfem_jax.mechanics.forces.joint_forces import LawForces, rate_about_axis
 from rfem_jax.mechanics.implicit.condensation import LinkOperator
 from rfem_jax.mechanics.kinematics.motion import Motion
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation, impose
-from rfem_jax.mechanics.model.model import Coordinates, State, Topology
+from rfem_jax.mechanics.model.model import Coordinates, Model, State, Topology
 from rfem_jax.mechanics.model.orientations import position_rate
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 from rfem_jax.simulation.driving import ActiveDrives
@@ -136,8 +136,9 @@ def applied_power(
     power = forces[0] * (rate_about_axis(topology, state, topology.drives[0]) if topology.drives else 0.0)
     for k, force in zip(topology.drives[1:], forces[1:], strict=True):
         power = power + force * rate_about_axis(topology, state, k)
-    power = power if solved.laws is None else power + solved.laws.power
-    return power if solved.frame_loads is None else power + solved.frame_loads.power
+    for acting in (solved.laws, solved.frame_loads):
+        power = power if acting is None else power + acting.power
+    return power
 
 
 def drive_forces(
@@ -158,10 +159,11 @@ def drive_forces(
     return tuple(force(k) for k in topology.drives) or (jnp.zeros(()),)
 
 
-def start_trajectory(state: State, joints: int, frictions: int = 0, clearances: int = 0) -> Trajectory:
+def start_trajectory(model: Model, state: State) -> Trajectory:
     """The integrated state at the start: all integrals zero."""
-    by_joint, total = jnp.zeros((joints,)), jnp.zeros(())
-    by_friction, by_contact = (jnp.zeros((count,)) if count else None for count in (frictions, clearances))
+    by_joint, total = jnp.zeros((len(model.topology.joints),)), jnp.zeros(())
+    counts = len(model.friction or {}), len(model.topology.clearances)
+    by_friction, by_contact = (jnp.zeros((count,)) if count else None for count in counts)
     integrals = Integrals(by_joint, by_joint, by_joint, total, total, by_friction, by_contact)
     return Trajectory(state.position, state.velocity, integrals)
 

@@ -1,6 +1,6 @@
-"""Simulation of one mechanism with its errors: assembly, integration, loads, balances.
+"""Stages of a simulation of one mechanism with its errors: assembly, integration, loads and balances.
 
-Place in the pipeline: model, errors, drive, method -> **prepare, advance, conclude** -> conclusion -> Run.
+Place in the pipeline: model, errors, drive, method -> **prepare, advance, conclude** -> simulating, cases, cycle.
 
     prepare   errors -> constants, start state, preload
     advance   the intervals of the time grid, by one compiled loop body (`stepping`)
@@ -11,15 +11,14 @@ state at the end of every interval, with an implicit method of every step, and c
 """
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
 import diffrax
 import jax
 import jax.numpy as jnp
-from jax.core import Tracer
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Int
 
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.basics.errors import InputError
@@ -39,19 +38,18 @@ from rfem_jax.mechanics.model.status import (
 )
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors, apply_errors
 from rfem_jax.mechanics.statics.assembly import held_angles, moving_equilibrium, static_loads
-from rfem_jax.mechanics.statics.designs import Design, designed
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.balances import checks_of
 from rfem_jax.simulation.batches import with_batch_axes
-from rfem_jax.simulation.conclusion import Conclusion, ball_angles, load_summary, run_of, with_status
-from rfem_jax.simulation.driving import active_drives, all_jumps, all_step_ends, drive_of_design
+from rfem_jax.simulation.conclusion import Conclusion, ball_angles, load_summary
+from rfem_jax.simulation.driving import active_drives, all_jumps, all_step_ends
 from rfem_jax.simulation.equations import Conditions, Trajectory
 from rfem_jax.simulation.observation import Record, energy_at, observe
-from rfem_jax.simulation.records import finished_records, instant_records, require_records
-from rfem_jax.simulation.run import Energy, Run, of_model
+from rfem_jax.simulation.records import finished_records, instant_records
+from rfem_jax.simulation.run import Energy
 from rfem_jax.simulation.solvers.implicit_step import Memory
 from rfem_jax.simulation.stepping import Carry, Integration, entries_of, last_step, repeated
-from rfem_jax.simulation.time_grid import TimeGrid, divide_time, longest_interval, of_any_step
+from rfem_jax.simulation.time_grid import TimeGrid, divide_time, longest_interval
 
 
 class Prepared(NamedTuple):
@@ -68,31 +66,6 @@ class IntervalEnd(NamedTuple):
 
     trajectory: Trajectory
     memory: Memory | None
-
-
-def simulate_steps(
-    model: Model,
-    errors: AssemblyErrors,
-    drive: Drive,
-    grid: TimeGrid,
-    method: Method,
-    steps: int | Float[Array, ""],
-    start: State | None = None,
-    adjoint: diffrax.AbstractAdjoint | None = None,
-    record: str | Iterable[str] = (),
-    design: Design | None = None,
-) -> Run:
-    """Simulate over a grid made by `grid_for`. Arguments as of `simulate`; the number of steps in an interval may be
-    traced (see `time_grid.of_any_step`)."""
-    drive = drive if design is None else drive_of_design(model, drive, design)
-    made = designed(model, design, errors)
-    asked = require_records(made.model, record)
-    if not any(isinstance(x, Tracer) for x in jax.tree.leaves((made, drive, start))):
-        method, grid, steps = of_any_step(method, grid, steps)  # one program for all steps; none of reverse mode
-    integration = Integration(made.model, drive, grid, method, steps)
-    conclusion = _simulate(integration, made.errors, start, adjoint, asked)
-    run = run_of(made.model, conclusion)
-    return with_status(of_model(run, made.model, errors if made.errors is None else made.errors), made)
 
 
 def grid_for(
@@ -114,23 +87,6 @@ def grid_for(
     return divide_time(
         duration, method.step, save_every, all_jumps(drive, model), method.implicit, from_start, rows, per_row
     )
-
-
-@partial(Program, nameless=True)
-def _simulate(integration, errors, start, adjoint, record):
-    return conclude(integration, *integrated(integration, errors, start, adjoint), record)
-
-
-def integrated(
-    integration: Integration,
-    errors: AssemblyErrors,
-    start: State | None = None,
-    adjoint: diffrax.AbstractAdjoint | None = None,
-) -> tuple[Prepared, Carry, IntervalEnd]:
-    """A simulation before its conclusion."""
-    prepared = prepare(integration.model, errors, integration.drive, start)
-    carry = start_carry(integration, prepared)
-    return prepared, *advance(integration, prepared.actual, carry, adjoint)
 
 
 @partial(kernel, name="assembly", in_parts=True)
@@ -157,8 +113,7 @@ def prepare(model: Model, errors: AssemblyErrors, drive: Drive, start: State | N
 def start_carry(integration: Integration, prepared: Prepared) -> Carry:
     """The state of the integration before the first interval."""
     model, joints = integration.model, prepared.preload.force.shape[1]
-    frictions, clearances = len(model.friction or {}), len(model.topology.clearances)
-    trajectory = equations.start_trajectory(prepared.state, joints, frictions, clearances)
+    trajectory = equations.start_trajectory(model, prepared.state)
     phase = jnp.asarray(0, jnp.int32)
     conditions = Conditions(prepared.actual, integration.drives, phase, integration.stabilisation)
     peaks, memory = jnp.zeros((4, joints)), integration.solver.start(conditions, trajectory)
@@ -202,14 +157,14 @@ def advance(
 
         return interval
 
-    def in_one_loop(carry, entries, *others):
-        return jax.lax.scan(interval_of(*others), carry, entries)
+    def in_one_loop(carry, entries, *constants):
+        return jax.lax.scan(interval_of(*constants), carry, entries)
 
-    def by_intervals(carry, entries, *others):
-        return jax.lax.scan(kernel(interval_of(*others), name="interval"), carry, entries)
+    def by_intervals(carry, entries, *constants):
+        return jax.lax.scan(kernel(interval_of(*constants), name="interval"), carry, entries)
 
-    def adaptively(carry, entries, *others):
-        return jax.lax.scan(repeated(interval_of(*others)), carry, entries)
+    def adaptively(carry, entries, *constants):
+        return jax.lax.scan(repeated(interval_of(*constants)), carry, entries)
 
     fixed = kernel(in_one_loop, name="steps", reverse=by_intervals)
     advanced = adaptively if integration.method.adaptive else fixed
@@ -258,8 +213,8 @@ def observe_ends(
 
         return kernel(record, name="record")
 
-    def in_one_loop(entries, ends, *others):
-        return jax.lax.map(lambda both: record_of(*others)(*both), (entries, ends))
+    def in_one_loop(entries, ends, *constants):
+        return jax.lax.map(lambda both: record_of(*constants)(*both), (entries, ends))
 
     observed = kernel(in_one_loop, name="records", reverse=in_one_loop)
     return observed(entries_of(integration.grid), ends, integration, actual)

@@ -88,16 +88,11 @@ def equations_of_motion(simulation: Simulation, errors: Errors | None = None) ->
     """
     simulation = simulation_of_call("equations_of_motion", simulation, {})
     made = designed(simulation.model, simulation.design, errors_of(simulation.model, errors))
-    assert made.errors is not None, "errors were given"
-    model, drive = made.model, simulation.drive
-    drive = drive if simulation.design is None else drive_of_design(model, drive, simulation.design)
+    model = made.model
+    drive = drive_of_design(model, simulation.drive, simulation.design)
     prepared = prepare(model, made.errors, drive, simulation.start)
-    topology = model.topology
-    start = equations.start_trajectory(
-        prepared.state, len(topology.joints), len(model.friction or {}), len(topology.clearances)
-    )
     return EquationsOfMotion(
-        start,
+        equations.start_trajectory(model, prepared.state),
         named(model, prepared.preload),
         prepared.status,
         model,

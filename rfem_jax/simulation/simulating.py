@@ -1,20 +1,32 @@
-"""One simulation: the function that users call.
+"""One simulation: the function that users call, and its stages.
 
 Place in the pipeline: Simulation, errors -> **simulate** -> Run.
+
+    designed      numbers of the design put into the model and its drives
+    prepare       errors applied, mechanism assembled: start state and preload
+    advance       motion integrated over the time grid
+    conclude      loads, balances, metrics and status observed
+    run_of        results by the names of joints, links and drives
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from functools import partial
 from typing import Any
 
 import diffrax
 
-from rfem_jax.mechanics.model.errors import Errors, errors_of
-from rfem_jax.mechanics.model.model import Model
+from rfem_jax.compilation.program import Program
+from rfem_jax.mechanics.model.errors import AssemblyErrors, Errors, errors_of
+from rfem_jax.mechanics.model.model import Model, State
+from rfem_jax.mechanics.statics.designs import designed
+from rfem_jax.simulation.conclusion import Conclusion, run_of_design
 from rfem_jax.simulation.driving import drive_of_design
-from rfem_jax.simulation.integration import grid_for, simulate_steps
+from rfem_jax.simulation.integration import advance, conclude, grid_for, prepare, start_carry
 from rfem_jax.simulation.locking import with_limit
+from rfem_jax.simulation.records import require_records
 from rfem_jax.simulation.run import Run
 from rfem_jax.simulation.specification import Simulation, simulation_of_call
+from rfem_jax.simulation.stepping import Integration
 
 
 def simulate(
@@ -40,11 +52,25 @@ def simulate(
     **Raises:** `InputError` for arguments that cannot be used.  A run that fails says so in its status.
     """
     simulation = simulation_of_call("simulate", simulation, former)
-    model, drive, method = simulation.model, simulation.drive, simulation.chosen
-    grid, steps = grid_for(drive, simulation.require_duration(), method, simulation.save_every, model)
-    errors = errors_of(model, errors)
-    run = simulate_steps(
-        model, errors, drive, grid, method, steps, simulation.start, adjoint, record, simulation.design
-    )
-    design = simulation.design
-    return with_limit(run, model, drive if design is None else drive_of_design(model, drive, design))
+    model, method, design = simulation.model, simulation.chosen, simulation.design
+    grid, steps = grid_for(simulation.drive, simulation.require_duration(), method, simulation.save_every, model)
+    drive = drive_of_design(model, simulation.drive, design)
+    made = designed(model, design, errors_of(model, errors))
+    integration = Integration.of_any_step(made.model, drive, grid, steps, method, (made, simulation.start))
+    asked = require_records(made.model, record)
+    run = run_of_design(made, simulated(integration, made.errors, simulation.start, adjoint, asked))
+    return with_limit(run, model, drive)
+
+
+@partial(Program, nameless=True)
+def simulated(
+    integration: Integration,
+    errors: AssemblyErrors,
+    start: State | None,
+    adjoint: diffrax.AbstractAdjoint | None,
+    asked: Sequence[str],
+) -> Conclusion:
+    """The conclusion of a simulation; `asked`: names as in `simulation.records`."""
+    prepared = prepare(integration.model, errors, integration.drive, start)
+    carry, ends = advance(integration, prepared.actual, start_carry(integration, prepared), adjoint)
+    return conclude(integration, prepared, carry, ends, asked)

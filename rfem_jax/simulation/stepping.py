@@ -16,25 +16,25 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, PyTree, Shaped
 
 from rfem_jax.description.methods import GeneralisedAlpha, Method
-from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.forces.bush_contacts import require_memory
 from rfem_jax.mechanics.forces.friction import require_implicit
 from rfem_jax.mechanics.model.inputs import Stabilisation
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors, with_structural_zeros
-from rfem_jax.simulation import equations
 from rfem_jax.simulation.driving import ActiveDrives, Drive, active_drives
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.solvers.catalogue import IntervalSolver, observed_solver
 from rfem_jax.simulation.solvers.contact_steps import follow_contacts, part_lengths
-from rfem_jax.simulation.solvers.generalised_alpha import GeneralisedAlphaSolver
+from rfem_jax.simulation.solvers.explicit import MOTION
+from rfem_jax.simulation.solvers.generalised_alpha import GeneralisedAlphaSolver, StepState
 from rfem_jax.simulation.solvers.implicit_step import SOLUTION, Memory
 from rfem_jax.simulation.solvers.recorded_steps import RecordedSteps
 from rfem_jax.simulation.stabilisation import stabilisation_of
-from rfem_jax.simulation.time_grid import TimeGrid, steps_of_parts
+from rfem_jax.simulation.time_grid import TimeGrid, of_any_step, steps_of_parts
 
 MAX_ADAPTIVE_STEPS = 100_000
 MOST_LENGTHS = 64  # of steps, for which operators are formed at the start; of more, in every step
@@ -64,6 +64,14 @@ class Carry(NamedTuple):
         """How often contacts have closed or opened; None if steps do not follow them."""
         following = None if self.memory is None else self.memory.following
         return None if following is None else following.changes
+
+    def after(self, y: Any, memory: Any, step: Any) -> "Carry":
+        """The carry after an interval: trajectory and maxima, memory of the solver (kept of an implicit method), length
+        [s] of the last step (None where intervals have no parts)."""
+        memory, exhausted = None if self.memory is None else memory, self.exhausted
+        if memory is not None and memory.following is not None:
+            exhausted = exhausted | memory.following.exhausted
+        return Carry(y[0], y[1], exhausted, self.last_step if step is None else step, memory)
 
 
 class Entry(NamedTuple):
@@ -106,6 +114,16 @@ class Integration(eqx.Module):
     grid: TimeGrid
     method: Method
     steps: int | Float[Array, ""]
+
+    @classmethod
+    def of_any_step(
+        cls, model: Model, drive: Drive, grid: TimeGrid, steps: int | Float[Array, ""], method: Method, given: PyTree
+    ) -> "Integration":
+        """What has one program for all steps where the method allows that and no number, of those that are `given`
+        besides, is traced: not in reverse mode."""
+        if not any(isinstance(x, Tracer) for x in jax.tree.leaves((model, drive, given))):
+            method, grid, steps = of_any_step(method, grid, steps)
+        return cls(model, drive, grid, method, steps)
 
     @property
     def own_names(self) -> tuple[str, ...]:
@@ -157,22 +175,64 @@ class Integration(eqx.Module):
         entry: Entry,
         adjoint: diffrax.AbstractAdjoint | None = None,
     ) -> Carry:
-        """From the carry at the start of an interval to that at its end."""
-        grid, steps, tolerance = self.grid, self.steps, contact_tolerance_of(self.model, self.method)
-        ahead = None if self.model.friction is None else grid.longest_step(steps)
-        actual = with_structural_zeros(actual)
-        conditions = Conditions(actual, self.drives, entry.phase, self.stabilisation, ahead=ahead)
+        """From the carry at the start of an interval to that at its end: in steps chosen by an error control, or in
+        those of a schedule, whose number may be traced (then not in reverse mode) and which are divided where contacts
+        need it (not in reverse mode, either)."""
+        solver, conditions = self.solver, self._conditions(actual, entry)
         if self.method.adaptive:
-            return _adaptive_in_parts(self.solver, carry, entry, conditions, self.method, adjoint)
+            return _adaptive_in_parts(solver, carry, entry, conditions, self.method, adjoint)
+        schedule, tolerance = self._schedule(entry, operators), contact_tolerance_of(self.model, self.method)
+
+        def part(t0, t1, y, memory, operators):
+            own = dataclasses.replace(conditions, operators=operators)
+            y, _, _, memory, result = solver.step(TERMS, t0, t1, y, own, memory, jnp.asarray(False))
+            return y, memory, result
+
+        def step(index, state):
+            y, memory, before = state
+            t0, h, operators, place = schedule.step(index)
+            if schedule.parts and isinstance(solver, GeneralisedAlphaSolver):
+                y, memory = _step_start(solver, y, memory, before, h, place, tolerance)
+                before = jnp.where(place >= 0.0, h, before)
+            if tolerance is None:
+                y, memory, _ = part(t0, t0 + h, y, memory, operators)
+            else:
+                y, memory = follow_contacts(part, conditions.actual, t0, h, y, memory, operators, tolerance)
+            return y, memory, before
+
+        def step_if_needed(state, index):
+            if carry.memory is None and not schedule.parts:
+                return step(index, state)
+            return jax.lax.cond(schedule.needed(index), lambda: step(index, state), lambda: state)
+
+        t0, h, first_operators, _ = schedule.step(jnp.zeros_like(entry.phase, jnp.float64))
+        y, first = (carry.trajectory, carry.peaks), dataclasses.replace(conditions, operators=first_operators)
+        memory = solver.resume(TERMS, t0, t0 + h, y, first, carry.memory)
+        state = y, memory, carry.last_step if schedule.parts else None
+        if isinstance(schedule.number, int):
+            one = step_if_needed if carry.memory is None else repeated(step_if_needed)
+            indices = jnp.arange(schedule.number, dtype=jnp.float64)
+            state, _ = jax.lax.scan(lambda *args: (one(*args), None), state, indices)
+        else:
+            count = schedule.number.astype(jnp.int32)
+            state = jax.lax.fori_loop(0, count, lambda i, state: step_if_needed(state, i.astype(jnp.float64)), state)
+        return carry.after(*state)
+
+    def _conditions(self, actual: ModelWithErrors, entry: Entry) -> Conditions:
+        """Arguments of the equations of motion within an interval, without operators."""
+        ahead = None if self.model.friction is None else self.grid.longest_step(self.steps)
+        actual = with_structural_zeros(actual)
+        return Conditions(actual, self.drives, entry.phase, self.stabilisation, ahead=ahead)
+
+    def _schedule(self, entry: Entry, operators: PyTree) -> "Schedule":
+        """The steps of an interval, with `operators` for each of the grid's lengths."""
 
         def of_kind(kind):
             return jax.tree.map(lambda x: _row(x, kind), operators)
 
-        if grid.parts is None:
-            conditions = dataclasses.replace(conditions, operators=of_kind(entry.kind))
-            return _fixed(self.solver, carry, _even_steps(entry, steps), conditions, tolerance)
-        schedule = _steps_in_parts(entry, self.counts, of_kind, steps, grid.parts.most)
-        return _fixed(self.solver, carry, schedule, conditions, tolerance)
+        if self.grid.parts is None:
+            return _even_steps(entry, self.steps, of_kind(entry.kind))
+        return _steps_in_parts(entry, self.counts, of_kind, self.steps, self.grid.parts.most)
 
 
 def _row(values: Shaped[Array, "rows ..."], place: Int[Array, ""]) -> Shaped[Array, "..."]:
@@ -187,15 +247,13 @@ def contact_tolerance_of(model: Model, method: Method) -> float | None:
     return method.contact_tolerance or None
 
 
-_rate = kernel(equations.right_hand_side, name="right-hand side")
-
-
-def vector_field(t: Scalar, y: tuple[Trajectory, PyTree], conditions: Conditions) -> tuple[Trajectory, PyTree]:
+def _state_rate(t: Scalar, y: StepState, conditions: Conditions) -> StepState:
     """Time derivative of the state (trajectory, squared maxima of loads), zero for the maxima."""
     trajectory, peaks = y
-    # Reverse mode recomputes a stage from its state: to store hundreds of intermediates costs more.
-    rate = jax.checkpoint(_rate)(t, trajectory, conditions)
-    return rate, jax.tree.map(jnp.zeros_like, peaks)
+    return MOTION.vf(t, trajectory, conditions), jnp.zeros_like(peaks)
+
+
+TERMS = diffrax.ODETerm(_state_rate)
 
 
 def repeated(function: Callable) -> Callable:
@@ -207,9 +265,9 @@ def repeated(function: Callable) -> Callable:
 class Schedule(NamedTuple):
     """The steps of an interval.
 
-    step: start [s], length [s], operators (None: those of the conditions) and place within its part of the step of an
-    index; needed: whether the step of an index is one of a method that remembers; number: of the steps, or more where
-    it is to be static; parts: whether lengths may differ.
+    step: start [s], length [s], operators and place within its part of the step of an index; needed: whether the step
+    of an index is one of a method that remembers; number: of the steps, or more where it is to be static; parts:
+    whether lengths may differ.
     """
 
     step: Callable[[Float[Array, ""]], tuple[Float[Array, ""], Float[Array, ""], PyTree, Float[Array, ""]]]
@@ -218,12 +276,12 @@ class Schedule(NamedTuple):
     parts: bool
 
 
-def _even_steps(entry: Entry, steps: int | Float[Array, ""]) -> Schedule:
+def _even_steps(entry: Entry, steps: int | Float[Array, ""], operators: PyTree) -> Schedule:
     """Steps of equal length."""
     h = entry.length / steps
 
     def step(index):
-        return entry.start + h * index, h, None, index
+        return entry.start + h * index, h, operators, index
 
     # A step of length zero finds the memory at a start; in an interval of length zero one is enough.
     return Schedule(step, lambda index: (h > 0.0) | (index == steps - 1.0), steps, False)
@@ -247,55 +305,6 @@ def _steps_in_parts(
 
     count = total if most is None or not isinstance(steps, int) else most
     return Schedule(step, lambda index: index < total, count, True)
-
-
-def _fixed(solver, carry: Carry, schedule: Schedule, conditions, tolerance=None) -> Carry:
-    """One interval in the steps of a schedule; their number may be traced (then not in reverse mode).  With a
-    `tolerance` they are divided where contacts need it (not in reverse mode, either)."""
-    terms = diffrax.ODETerm(vector_field)
-
-    def step(index, state):
-        y, memory, before = state
-        t0, h, operators, place = schedule.step(index)
-        own = conditions if operators is None else dataclasses.replace(conditions, operators=operators)
-        if schedule.parts and isinstance(solver, GeneralisedAlphaSolver):
-            y, memory = _step_start(solver, y, memory, before, h, place, tolerance)
-            before = jnp.where(place >= 0.0, h, before)
-        if tolerance is not None:
-            y, memory = follow_contacts(part, own.actual, t0, h, y, memory, own.operators, tolerance)
-        else:
-            y, _, _, memory, _ = solver.step(terms, t0, t0 + h, y, own, memory, jnp.asarray(False))
-        return y, memory, before
-
-    def part(t0, t1, y, memory, operators):
-        own = dataclasses.replace(conditions, operators=operators)
-        y, _, _, memory, result = solver.step(terms, t0, t1, y, own, memory, jnp.asarray(False))
-        return y, memory, result == diffrax.RESULTS.successful
-
-    def step_if_needed(state, index):
-        if carry.memory is None and not schedule.parts:
-            return step(index, state)
-        return jax.lax.cond(schedule.needed(index), lambda: step(index, state), lambda: state)
-
-    y = carry.trajectory, carry.peaks
-    zero = jnp.zeros_like(conditions.phase, jnp.float64)
-    t0, h, operators, _ = schedule.step(zero)
-    first = conditions if operators is None else dataclasses.replace(conditions, operators=operators)
-    state = y, solver.resume(terms, t0, t0 + h, y, first, carry.memory), carry.last_step if schedule.parts else None
-    if isinstance(schedule.number, int):
-        indices = jnp.arange(schedule.number, dtype=jnp.float64)
-        one = step_if_needed if carry.memory is None else repeated(step_if_needed)
-        state, _ = jax.lax.scan(lambda *args: (one(*args), None), state, indices)
-    else:
-        count = schedule.number.astype(jnp.int32)
-        state = jax.lax.fori_loop(0, count, lambda i, state: step_if_needed(state, i.astype(jnp.float64)), state)
-    (trajectory, peaks), memory, before = state
-    memory = None if carry.memory is None else memory
-    if memory is not None and memory.following is not None:
-        carry = carry._replace(exhausted=carry.exhausted | memory.following.exhausted)
-    if before is not None:
-        carry = carry._replace(last_step=before)
-    return carry._replace(trajectory=trajectory, peaks=peaks, memory=memory)
 
 
 def _step_start(solver: GeneralisedAlphaSolver, y, memory: Memory, before, h, place, tolerance):
@@ -330,7 +339,7 @@ def _adaptive(solver, carry: Carry, start, length, conditions, method, adjoint) 
 
     def solve(y, conditions, controller, saveat, adjoint):
         return diffrax.diffeqsolve(
-            diffrax.ODETerm(vector_field), solver, start, end, jnp.minimum(carry.last_step, end - start), y,
+            TERMS, solver, start, end, jnp.minimum(carry.last_step, end - start), y,
             conditions, stepsize_controller=controller, saveat=saveat, adjoint=adjoint,
             max_steps=MAX_ADAPTIVE_STEPS, throw=False,
         )  # fmt: skip

@@ -134,9 +134,7 @@ def kinetostatic_turn(
 def turn_over(model: Model, errors: AssemblyErrors, poses: ClosedPose) -> Turn:
     """The turn over closed poses."""
     made = designed(model, None, errors)
-    assert made.errors is not None, "errors were given"
-    model, left = made.model, made.errors
-    turn = jax.lax.map(lambda pose: held_at(model, left, pose), poses)
+    turn = jax.lax.map(lambda pose: held_at(made.model, made.errors, pose), poses)
     return eqx.tree_at(lambda t: t.status, turn, status_of(turn.status, made))
 
 

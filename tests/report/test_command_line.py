@@ -256,7 +256,7 @@ def test_without_matplotlib_the_rest_is_written(packages, study_file, tmp_path, 
 
 COMMANDS = Path(rfem_jax.__file__).parent / "report" / "commands"
 LIGHT = {"report.annotations", "report.console", "report.process", "report.progress_line", "task_kinds"}
-LIGHT |= {"usable_cores"}
+LIGHT |= {"progress_line", "usable_cores"}
 LIGHT |= {f"report.commands.{path.stem}" for path in COMMANDS.glob("*.py") if path.stem != "__init__"}
 
 

@@ -24,7 +24,7 @@ from rfem_jax import (
 from rfem_jax.description.study_file.study import Case, Study
 from rfem_jax.mechanics.kinematics import motion as kinematics
 from rfem_jax.mechanics.model.status import DIVERGED, NOT_ASSEMBLED
-from rfem_jax.simulation import integration
+from rfem_jax.simulation import integration, simulating
 from tests.mechanisms import STEEL, four_bar, link
 
 
@@ -54,7 +54,7 @@ def itself(function):
 @pytest.mark.parametrize("counts", [(3, 9), (17, 65)], ids=["links in one piece", "links in segments"])
 def test_program_does_not_grow_with_the_number_of_rfes(small, counts, monkeypatch):
     # Without its jit, which would return what another test has traced.
-    monkeypatch.setattr(integration, "_simulate", integration._simulate.function)
+    monkeypatch.setattr(simulating, "simulated", simulating.simulated.function)
     sizes = []
     for rfes in counts:
         model = discretise(four_bar(), rfes=rfes)

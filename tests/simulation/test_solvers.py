@@ -28,7 +28,7 @@ from rfem_jax.simulation.equations import (
 from rfem_jax.simulation.solvers.catalogue import observed_solver
 from rfem_jax.simulation.solvers.explicit import LeapfrogSolver
 from rfem_jax.simulation.stabilisation import stabilisation_of
-from rfem_jax.simulation.stepping import Integration, vector_field
+from rfem_jax.simulation.stepping import TERMS, Integration
 from rfem_jax.simulation.time_grid import divide_time
 
 ERRORS = {"D.delta_x": 4e-3, "D.d_y": 2e-4}
@@ -39,7 +39,7 @@ def in_one_interval(model, drive, method):
     prepared = integration.prepare(model, assembly_errors(model, ERRORS), drive, None)
     drives, gains = active_drives(model, drive), stabilisation_of(model, method)
     conditions = Conditions(prepared.actual, drives, jnp.asarray(0, jnp.int32), gains)
-    y = (start_trajectory(prepared.state, 4), jnp.zeros((4, 4)))
+    y = (start_trajectory(model, prepared.state), jnp.zeros((4, 4)))
     return prepared, conditions, y
 
 
@@ -52,7 +52,7 @@ def test_loop_over_steps_is_diffrax_s_own_loop(small, name):
     solution = jax.jit(
         lambda y: (
             diffrax.diffeqsolve(
-                diffrax.ODETerm(vector_field),
+                TERMS,
                 observed_solver(method),
                 t0=0.0,
                 t1=1e-3,
@@ -86,7 +86,7 @@ def test_a_failure_of_newton_s_method_is_the_result_of_diffeqsolve(small):
     result = jax.jit(
         lambda y: (
             diffrax.diffeqsolve(
-                diffrax.ODETerm(vector_field),
+                TERMS,
                 solver,
                 t0=0.0,
                 t1=1e-2,

@@ -15,7 +15,7 @@ from rfem_jax.tolerancing.robust_design.corrected_statistics import CorrectedSta
 from rfem_jax.tolerancing.robust_design.cost_models import Exponential, Reciprocal, ReciprocalSquared
 from rfem_jax.tolerancing.robust_design.observations import Observer
 from rfem_jax.tolerancing.robust_design.request import check_allocation
-from rfem_jax.tolerancing.robust_design.verification import Verified
+from rfem_jax.tolerancing.robust_design.verification import ErrorSample, Verified
 
 jax.config.update("jax_enable_x64", True)
 
@@ -193,10 +193,8 @@ def test_a_model_that_fits_is_used():
 def criterion(kind, limit=3.0):
     bounds = {"e0": (1e-3, 20.0), "e1": (1e-3, 20.0)}
     observer = Observer(check_allocation(PROBLEM, {"load": limit}, Reciprocal(), bounds))
-    return CorrectedStatistics(
-        observer, KEY, kind, level=0.9, coverage=3.0, statistic="quantile", distribution=Uniform,
-        samples=64, verify_samples=64,
-    )  # fmt: skip
+    sample = ErrorSample(kind, level=0.9, coverage=3.0, distribution=Uniform, samples=64, verify_samples=64)
+    return CorrectedStatistics(observer, KEY, sample, "quantile")
 
 
 def fresh(h=0.0, low=0.0, fraction=1.0, high=1.0):
@@ -261,10 +259,8 @@ def test_failed_samples_raise_the_quantile_that_the_others_must_hold():
     problem = FunctionProblem(function, ("e0",), ("load",))
     bounds = {"e0": (0.1, 10.0)}
     observer = Observer(check_allocation(problem, {"load": 2.0}, Reciprocal(), bounds))
-    study = CorrectedStatistics(
-        observer, KEY, "yield", level=0.9, coverage=3.0, statistic="quantile", distribution=Uniform,
-        samples=512, verify_samples=64,
-    )  # fmt: skip
+    sample = ErrorSample("yield", level=0.9, coverage=3.0, distribution=Uniform, samples=512, verify_samples=64)
+    study = CorrectedStatistics(observer, KEY, sample, "quantile")
     h = study.observe(np.array([1.0]), KEY)
     assert 2.0 + 2.0 * h[0] == pytest.approx(0.8, abs=0.01)
     assert study.failed == pytest.approx(0.05 * 512, abs=2)

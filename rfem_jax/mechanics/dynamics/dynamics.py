@@ -132,9 +132,10 @@ def total_dissipated(
     of_links: Float[Array, ""], laws: LawForces | None, at_nodes: FrameLoads | None, cuts: Closure | None
 ) -> Array:
     """Power [W] that the dampers of links, joints, force elements and compliant cut joints dissipate."""
-    dissipated = of_links if laws is None else of_links + laws.dissipated
-    dissipated = dissipated if at_nodes is None else dissipated + at_nodes.dissipated
-    return dissipated if cuts is None or cuts.springs is None else dissipated + cuts.springs.dissipated
+    dissipated = of_links
+    for forces in (laws, at_nodes, None if cuts is None else cuts.springs):
+        dissipated = dissipated if forces is None else dissipated + forces.dissipated
+    return dissipated
 
 
 def _with_elements(topology: Topology, at_nodes: FrameLoads, force: Array, moment: Array) -> tuple[Array, Array]:

@@ -114,6 +114,11 @@ def cut_friction(
     return states
 
 
+def states_in(laws: LawForces | None) -> FrictionStates:
+    """The frictions among forces at joints, none without any."""
+    return {} if laws is None or laws.friction is None else laws.friction
+
+
 def with_friction(actual: ModelWithErrors, laws: LawForces | None, states: FrictionStates) -> LawForces | None:
     """The forces at joints with those of friction."""
     if not states:
@@ -141,9 +146,8 @@ def cut_forces(actual: ModelWithErrors, states: FrictionStates) -> CutForces:
 
 def losses(laws: LawForces | None) -> Float[Array, " frictions"] | None:
     """Power [W] that every friction dissipates, in the order of their names; None without any."""
-    if laws is None or laws.friction is None:
-        return None
-    return jnp.stack([-one.force * one.rate for _, one in sorted(laws.friction.items())])
+    states = sorted(states_in(laws).items())
+    return jnp.stack([-one.force * one.rate for _, one in states]) if states else None
 
 
 def node_wrenches(topology: Topology, cuts: Closure | None, forces: CutForces | None) -> dict[int, Float[Array, "6"]]:

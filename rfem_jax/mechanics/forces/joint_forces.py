@@ -9,7 +9,7 @@ outside it and are not (theory (3.17)).
 """
 
 from functools import reduce
-from typing import NamedTuple, TypeGuard
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +18,6 @@ from jax import Array
 from jaxtyping import Float
 
 from rfem_jax.mechanics.algebra.vectors import Scalar, dot
-from rfem_jax.mechanics.laws.joint_laws import JointLaw, SpringLaw, TableLaw
 from rfem_jax.mechanics.laws.joint_springs import CompliantSpring, diagonal_tangent
 from rfem_jax.mechanics.model.inputs import DriveInput
 from rfem_jax.mechanics.model.model import Coordinates, State, Topology
@@ -70,10 +69,10 @@ def law_forces(actual: ModelWithErrors, state: State) -> LawForces | None:
             position, rate = state.position.joints[law.place], state.velocity.joints[law.coordinate]
             force = share * law.force(position, rate)
             side = outside
-            if isinstance(law, SpringLaw):
+            if law.inside:
                 side = inside
-                dissipated = dissipated + share * law.damping * rate**2
-            elif not _depends_on_position_alone(law, actual.topology):
+                dissipated = dissipated + share * law.dissipation(rate)
+            elif actual.topology.sprung or law.work(position) is None:
                 if actual.topology.sprung:
                     rate = rate_about_axis(actual.topology, state, law.coordinate)
                 power = power + force * rate
@@ -162,7 +161,7 @@ def outside_forces(topology: Topology, drive: DriveInput, laws: LawForces | None
 def law_energy(actual: ModelWithErrors, position: Coordinates) -> Float[Array, ""]:
     """Potential energy [J] of the springs of the joints of the tree."""
     springs = [] if actual.forces is None else actual.forces.laws.values()
-    energies = [law.energy(position.joints[law.place]) for law in springs if isinstance(law, SpringLaw)]
+    energies = [law.energy(position.joints[law.place]) for law in springs if law.inside]
     energy = jnp.asarray(sum(energies)) * (1.0 if actual.forces is None else actual.forces.share)
     for spring in tree_springs(actual):
         energy = energy + spring.energy(jnp.stack([position.joints[k] for k in spring.places]))
@@ -170,17 +169,12 @@ def law_energy(actual: ModelWithErrors, position: Coordinates) -> Float[Array, "
 
 
 def law_work(actual: ModelWithErrors, position: Coordinates) -> list[Float[Array, ""]]:
-    """Works [J] of the laws that depend on a joint's position alone, from any fixed one."""
-    if actual.forces is None:
+    """Works [J] of the laws that depend on a joint's position alone, from any fixed one; none where a sprung tilt turns
+    what a law acts about."""
+    if actual.forces is None or actual.topology.sprung:
         return []
-    laws = [law for law in actual.forces.laws.values() if _depends_on_position_alone(law, actual.topology)]
-    return [actual.forces.share * law.work(position.joints[law.place]) for law in laws]
-
-
-def _depends_on_position_alone(law: JointLaw, topology: Topology) -> TypeGuard[TableLaw]:
-    """Whether the work of a law from outside is a function of its coordinate: of a table, where no sprung tilt turns
-    what it acts about."""
-    return isinstance(law, TableLaw) and not topology.sprung
+    works = [law.work(position.joints[law.place]) for law in actual.forces.laws.values() if not law.inside]
+    return [actual.forces.share * work for work in works if work is not None]
 
 
 def law_tangent(

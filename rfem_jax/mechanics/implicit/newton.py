@@ -31,6 +31,7 @@ from rfem_jax.mechanics.algebra.vectors import (
 from rfem_jax.mechanics.forces.element_loads import ElementTangents
 from rfem_jax.mechanics.forces.friction import joint_wrenches
 from rfem_jax.mechanics.forces.joint_forces import CutForces
+from rfem_jax.mechanics.forces.tangents import NO_FORCES, ForceTangents
 from rfem_jax.mechanics.implicit.articulated_links import (
     ArticulatedLink,
     Response,
@@ -118,29 +119,24 @@ def iteration_matrix(
     motion: Motion,
     cuts: Closure | None,
     held: tuple[int, ...] = (),
-    joint_tangent: dict[int, Float[Array, ""]] | None = None,
-    element_tangent: ElementTangents | None = None,
-    row_tangent: Float[Array, " multipliers"] | None = None,
-    cut_tangent: CutForces | None = None,
+    tangents: ForceTangents = NO_FORCES,
 ) -> IterationMatrix:
-    """Factor the iteration matrix at one position; `held`: joint coordinates that are given; `joint_tangent`: minus the
-    derivatives of forces along joint coordinates with respect to their accelerations; `element_tangent`: of force
-    elements, `cut_tangent`: of friction in cut joints, likewise; `row_tangent`: of springs of cut joints, from
-    `spring_row_tangent`."""
+    """Factor the iteration matrix at one position; `held`: joint coordinates that are given; `tangents` of the forces
+    of springs, laws, friction and force elements."""
     with jax.named_scope("iteration_matrix"):
-        topology = actual.topology
-        links = eliminate(actual, operators, motion, held, joint_tangent or {})
+        topology, cut_tangent = actual.topology, tangents.cuts
+        links = eliminate(actual, operators, motion, held, tangents.joints)
         elements = None
-        if element_tangent is not None:
-            elements = _element_matrix(topology, links, motion, element_tangent)
+        if tangents.elements is not None:
+            elements = _element_matrix(topology, links, motion, tangents.elements)
         if cuts is None:
             return IterationMatrix(operators, links, None, elements)
         points = node_points(topology, motion)
         sides = topology.parents[topology.n_links :] + topology.children[topology.n_links :]
         units = {node: unit_columns(topology, cuts, node, points[node]) for node in sorted(set(sides)) if node != BASE}
-        of_friction = _friction_columns(topology, cuts, points, cut_tangent or {})
+        of_friction = _friction_columns(topology, cuts, points, cut_tangent)
         units = {node: jnp.concatenate([unit, *of_friction.get(node, ())], axis=1) for node, unit in units.items()}
-        columns = topology.n_constraints + len(cut_tangent or {})
+        columns = topology.n_constraints + len(cut_tangent)
         joint_loads = jnp.zeros((topology.n_freedoms, columns))
         responses = respond(topology, links, joint_loads, {}, {}, units, columns)
         responses = _with_elements(topology, elements, responses)
@@ -148,7 +144,7 @@ def iteration_matrix(
         if cut_tangent:
             rows = rows + np.diag(np.arange(columns) >= topology.n_constraints).astype(float)
         rows = jnp.asarray(rows)
-        springs = None if row_tangent is None else _spring_rows(topology, rows, row_tangent)
+        springs = None if tangents.rows is None else _spring_rows(topology, rows, tangents.rows)
         left_open = redundancy(topology, motion, cuts)
         if left_open is not None:
             left_open = left_open.beside(columns - topology.n_constraints)

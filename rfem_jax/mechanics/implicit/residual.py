@@ -21,7 +21,7 @@ from rfem_jax.mechanics.algebra import vectors
 from rfem_jax.mechanics.algebra.vectors import Scalar, apply, apply_transposed, cross, dot
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.dynamics.dynamics import total_dissipated
-from rfem_jax.mechanics.elements.elasticity import generalised_forces
+from rfem_jax.mechanics.elements.elasticity import dissipated_power, generalised_forces
 from rfem_jax.mechanics.forces.element_loads import FrameLoads, frame_loads
 from rfem_jax.mechanics.forces.friction import Ahead, cut_forces, cut_friction, tree_friction, with_friction
 from rfem_jax.mechanics.forces.joint_forces import LawForces, applied_forces, by_coordinate, law_forces
@@ -174,6 +174,38 @@ def evaluate_residual(
             laws=laws,
             frame_loads=at_nodes,
         )
+
+
+def with_wrenches(
+    evaluation: Evaluation,
+    wrenches: Sequence[Float[Array, "6"]],
+    actual: ModelWithErrors,
+    state: State,
+    accelerations: Coordinates,
+    multipliers: Float[Array, " constraints"],
+    drive: DriveInput,
+    scale: Scalar,
+    ahead: Scalar | None = None,
+) -> Evaluation:
+    """The evaluation with wrenches of the tree joints at the global origin that are given, and all forces that go with
+    these and with the state; the others as of `evaluate_residual`."""
+    motion, cuts = motion_of(actual, state), evaluation.closure
+    later = None
+    if ahead is not None:
+        later = Ahead(ahead, accelerations.joints, spatial_accelerations(actual, motion, state, accelerations))
+    in_cuts = cut_friction(actual, motion, cuts, multipliers, later)
+    in_tree = tree_friction(actual, state, evaluation.motion, wrenches, later)
+    laws = with_friction(actual, law_forces(actual, state), in_cuts | in_tree)
+    at_nodes = frame_loads(actual, motion, drive.time)
+    now = closure(actual, motion, scale)
+    of_cuts = loads.cut_wrenches(actual.topology, cuts, multipliers, cut_forces(actual, in_cuts))
+    return evaluation._replace(
+        multipliers=multipliers,
+        wrenches=[*wrenches, *of_cuts],
+        dissipated=total_dissipated(dissipated_power(actual, state), laws, at_nodes, now),
+        laws=laws,
+        frame_loads=at_nodes,
+    )
 
 
 def spatial_accelerations(

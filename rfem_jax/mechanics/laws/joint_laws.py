@@ -7,6 +7,7 @@ Each acts on one joint coordinate and depends on its position and rate alone (th
 
 import abc
 from collections.abc import Callable
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -21,15 +22,33 @@ from rfem_jax.mechanics.laws.friction_laws import Friction
 class JointLaw(eqx.Module):
     """A force along one joint coordinate, positive as the coordinate.
 
+    A law whose `energy` and `dissipation` account for all of its power is `inside` the joint and part of its load, as
+    springs with dampers are; the power of any other is work done from outside (theory (3.17)), as of `FrameForce`.
+
     coordinate, place: indices of the coordinate among the rates and in the position of the tree joints.
     """
 
     coordinate: eqx.AbstractVar[int]
     place: eqx.AbstractVar[int]
 
+    inside: ClassVar[bool] = False
+
     @abc.abstractmethod
     def force(self, position: Float[Array, ""], rate: Float[Array, ""]) -> Float[Array, ""]:
         """Force [N] or moment [N m] at a position [m, rad] and rate."""
+
+    def energy(self, position: Float[Array, ""]) -> Float[Array, ""]:
+        """Potential energy [J]."""
+        return jnp.zeros_like(position)
+
+    def dissipation(self, rate: Float[Array, ""]) -> Float[Array, ""]:
+        """Power that a damper dissipates [W]."""
+        return jnp.zeros_like(rate)
+
+    def work(self, position: Float[Array, ""]) -> Float[Array, ""] | None:
+        """Work [J] that a force from outside has done up to a position, from any fixed one, if it depends on the
+        position alone; None for other forces."""
+        del position
 
 
 class SpringLaw(JointLaw):
@@ -42,6 +61,8 @@ class SpringLaw(JointLaw):
     rest: Float[Array, ""]
     preload: Float[Array, ""]
 
+    inside: ClassVar[bool] = True
+
     def force(self, position, rate):
         return self.preload - self.stiffness * (position - self.rest) - self.damping * rate  # theory (3.14)
 
@@ -49,6 +70,9 @@ class SpringLaw(JointLaw):
         """Potential energy [J], zero at rest."""
         stretch = position - self.rest
         return (0.5 * self.stiffness * stretch - self.preload) * stretch
+
+    def dissipation(self, rate: Float[Array, ""]) -> Float[Array, ""]:
+        return self.damping * rate**2
 
 
 class TableLaw(JointLaw):
@@ -64,7 +88,6 @@ class TableLaw(JointLaw):
         return between_rows(self.positions, self.forces, position)
 
     def work(self, position: Float[Array, ""]) -> Float[Array, ""]:
-        """Work [J] done from the first row to a position."""
         return work_from_first_row(self.positions, self.forces, position)
 
 

@@ -34,7 +34,7 @@ from rfem_jax.description.parameters.parts import Parts
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.mechanics.model.building import PartStructure, arrays_of
 from rfem_jax.mechanics.model.discretisation import discretise
-from rfem_jax.mechanics.model.errors import AssemblyErrors, require_errors_of, require_possible
+from rfem_jax.mechanics.model.errors import AssemblyErrors, assembly_errors, require_errors_of, require_possible
 from rfem_jax.mechanics.model.model import BASE, Model, Topology, rfe_fractions
 from rfem_jax.mechanics.model.sources import NOTHING, Blueprint, Source
 from rfem_jax.mechanics.model.status import DESIGN_OUT_OF_RANGE, NOT_CLOSED, OK, STATUS
@@ -120,10 +120,10 @@ def source_in(model: Model) -> Source:
 
 class Designed(NamedTuple):
     """A model of a design and deviations, and errors without these; status: OK, or why it cannot be; gap [m]: what the
-    loops stay open by at the start.  Both are None where nothing was set."""
+    loops stay open by at the start.  The last two are None where nothing was set."""
 
     model: Model
-    errors: AssemblyErrors | None
+    errors: AssemblyErrors
     status: Int[Array, ""] | None = None
     gap: Float[Array, ""] | None = None
 
@@ -131,19 +131,17 @@ class Designed(NamedTuple):
 def designed(model: Model, design: Design | None, errors: AssemblyErrors | None = None) -> Designed:
     """The model of a design, without a source, and the errors that are left for `apply_errors`.
 
-    **Arguments:** `design`: None or a `Design` of this model; `errors`: whose deviations of parameters are added.
+    **Arguments:** `design`: None or a `Design` of this model; `errors`: whose deviations of parameters are added (None:
+    perfect).
 
     **Raises:** `InputError` for a design or errors of another model.
     """
-    values = {} if design is None else design.values
-    deviations = {} if errors is None or errors.parameters is None else errors.parameters
-    if errors is not None:
-        require_errors_of(model.topology, errors)
-    left = None if errors is None else replace(errors, parameters=None)
-    bare = replace(model, source=None)
+    errors = assembly_errors(model) if errors is None else errors
+    values, deviations = {} if design is None else design.values, errors.parameters or {}
+    require_errors_of(model.topology, errors)
+    left, bare = replace(errors, parameters=None), replace(model, source=None)
     if not values and not deviations:
-        if left is not None:
-            require_possible(bare, left)
+        require_possible(bare, left)
         return Designed(bare, left)
     source = source_in(model)
     for name in (*values, *deviations):

@@ -18,12 +18,11 @@ from jaxtyping import Float
 
 from rfem_jax.mechanics.algebra.vectors import Scalar
 from rfem_jax.mechanics.dynamics import loads
-from rfem_jax.mechanics.forces.element_loads import element_tangents
-from rfem_jax.mechanics.forces.joint_forces import law_tangent
+from rfem_jax.mechanics.forces.tangents import force_tangents
 from rfem_jax.mechanics.implicit.condensation import link_operators
 from rfem_jax.mechanics.implicit.newton import IterationMatrix, iteration_matrix, newton_increment
 from rfem_jax.mechanics.implicit.residual import Residual
-from rfem_jax.mechanics.kinematics.cut_joints import closure, spring_row_tangent
+from rfem_jax.mechanics.kinematics.cut_joints import closure
 from rfem_jax.mechanics.kinematics.motion import motion_of
 from rfem_jax.mechanics.model.model import Coordinates, Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
@@ -53,11 +52,9 @@ def static_tangent(
     operators = link_operators(actual, q_factor, jnp.zeros(()))
     state = loads.static_state(actual.topology, position)
     motion = motion_of(actual, state)
-    of_laws = law_tangent(actual, state, q_factor, 0.0)
-    of_elements = element_tangents(actual, motion, None, q_factor, 0.0)
     cuts = closure(actual, motion, scale)
-    of_rows = spring_row_tangent(actual, cuts, scale, q_factor, 0.0)
-    matrix = iteration_matrix(actual, operators, motion, cuts, held, of_laws, of_elements, of_rows)
+    tangents = force_tangents(actual, state, motion, cuts, None, scale, (q_factor, 0.0))
+    matrix = iteration_matrix(actual, operators, motion, cuts, held, tangents)
     return StaticTangent(matrix, q_factor)
 
 

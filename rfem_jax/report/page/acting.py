@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from rfem_jax.mechanics.laws.joint_laws import SpringLaw
 from rfem_jax.mechanics.laws.point_laws import GivenLoad
 from rfem_jax.report.annotations import Run
 
@@ -38,7 +37,7 @@ def describe_acting(run: Run) -> dict[str, Any]:
     laws = [
         {
             "name": name,
-            "spring": isinstance(law, SpringLaw),
+            "spring": law.inside,
             "joint": topology.joints[topology.link_of_freedom[law.coordinate]],
             "motion": topology.motion_of(law.coordinate),
         }

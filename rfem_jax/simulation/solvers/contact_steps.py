@@ -15,10 +15,11 @@ the shortest, so that the last one ends exactly where the step does.  Source: th
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, PyTree
+from jaxtyping import Array, Float, Int, PyTree
 
 from rfem_jax.mechanics.forces.bush_contacts import pins_of
 from rfem_jax.mechanics.forces.element_loads import element_pose
@@ -158,7 +159,7 @@ def for_length(memory: Memory, length: Float[Array, ""], before: Float[Array, ""
 
 
 def follow_contacts(
-    step: Callable[[Scalar, Scalar, Any, Memory, PyTree], tuple[Any, Memory, Bool[Array, ""]]],
+    step: Callable[[Scalar, Scalar, Any, Memory, PyTree], tuple[Any, Memory, diffrax.RESULTS]],
     actual: ModelWithErrors,
     start: Scalar,
     h: Float[Array, ""],
@@ -169,8 +170,8 @@ def follow_contacts(
 ) -> tuple[Any, Memory]:
     """State and memory of an implicit method at the end of a step of length h [s] in as many parts as contacts need.
 
-    **Arguments:** `step`: from (start, end, state, memory, operators) of a part to its (state, memory, whether it was
-    solved); `operators`: of the lengths of `part_lengths`, the first axis; `tolerance`: of `error_of_step`.
+    **Arguments:** `step`: from (start, end, state, memory, operators) of a part to its (state, memory, result);
+    `operators`: of the lengths of `part_lengths`, the first axis; `tolerance`: of `error_of_step`.
     """
     units, laws = 2**HALVINGS, laws_of_pins(actual)
 
@@ -183,12 +184,13 @@ def follow_contacts(
         t0, t1 = (start + h * place.astype(h.dtype) / units for place in ends)
         own, length = jax.tree.map(lambda x: x[now.halvings], operators), h * part.astype(h.dtype) / units
         memory = for_length(before.memory, length, before.following.length)
-        state, memory, solved = step(t0, t1, before.state, memory, own)
+        state, memory, result = step(t0, t1, before.state, memory, own)
         contacts = depths_of_pins(actual, state[0])
         exhausted = before.following.exhausted | (now.trials >= MOST_TRIALS)
         largest = jnp.sqrt(jnp.max(jax.lax.stop_gradient(state[1])))
         error = error_of_step(length, before.contacts, contacts, laws, largest, tolerance)
         close = (memory.residual <= SOLVED * largest) | (now.halvings >= SOLVED_BY)
+        solved = result == diffrax.RESULTS.successful
         kept = ((error <= 1.0) & solved & close) | (now.halvings == HALVINGS) | exhausted
         changes = before.following.changes + changes_between(before.contacts, contacts)
         following = Following(changes, exhausted, length)

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
+from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.model.inputs import DriveInput
 from rfem_jax.mechanics.model.model import Coordinates, State
 from rfem_jax.mechanics.model.orientations import moved
@@ -23,6 +24,9 @@ from rfem_jax.simulation import equations
 from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.observation import Instant, solved_instant
 from rfem_jax.simulation.solvers.generalised_alpha import MadeJump
+
+# Reverse mode recomputes a stage from its state: to store hundreds of intermediates costs more.
+MOTION = diffrax.ODETerm(jax.checkpoint(kernel(equations.right_hand_side, name="right-hand side")))
 
 
 class StageInterpolation(diffrax.LocalLinearInterpolation):
@@ -141,7 +145,8 @@ class PeakTracking(diffrax.AbstractWrappedSolver):
     """Integrates the first part of a state (motion, peaks) with `solver`, and keeps in the second the largest value of
     `watch(rate)` at the starts of accepted steps.
 
-    The rate at the start of a step is the first stage of the solver, so the maxima cost no evaluation.
+    It solves the equations of motion, whatever its terms are, which are those of the whole state. The rate at the start
+    of a step is the first stage of the solver, so the maxima cost no evaluation.
     """
 
     solver: diffrax.AbstractSolver  # pyright: ignore[reportIncompatibleVariableOverride] # an `AbstractVar`
@@ -162,7 +167,7 @@ class PeakTracking(diffrax.AbstractWrappedSolver):
         return self.solver.order(terms)
 
     def init(self, terms: diffrax.AbstractTerm, t0: Scalar, t1: Scalar, y0: PyTree, args: PyTree) -> PyTree:
-        return self.solver.init(_motion_term(terms), t0, t1, y0[0], args)
+        return self.solver.init(MOTION, t0, t1, y0[0], args)
 
     def step(
         self,
@@ -175,9 +180,8 @@ class PeakTracking(diffrax.AbstractWrappedSolver):
         made_jump: MadeJump,
     ) -> tuple[PyTree, PyTree, dict[str, PyTree], PyTree, diffrax.RESULTS]:
         motion, peaks = y0
-        inner = _motion_term(terms)
         motion1, error, dense, solver_state, result = self.solver.step(
-            inner, t0, t1, motion, args, solver_state, made_jump
+            MOTION, t0, t1, motion, args, solver_state, made_jump
         )
         h = t1 - t0
         safe = jnp.where(h > 0.0, h, 1.0)
@@ -216,12 +220,3 @@ class PeakTracking(diffrax.AbstractWrappedSolver):
         instant = solved_instant(conditions.actual, result, drive, scale)
         axial, normal, moment = equations.squares(conditions.actual.topology, instant.loads)
         return jnp.stack([axial, normal, axial + normal, moment]), state, drive, instant
-
-
-def _motion_term(terms):
-    """A term whose vector field is that of the motion alone."""
-
-    def field(t, motion, args):
-        return terms.vf(t, (motion, None), args)[0]
-
-    return diffrax.ODETerm(field)

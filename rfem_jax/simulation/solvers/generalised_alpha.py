@@ -48,23 +48,16 @@ from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.methods import GeneralisedAlpha, Method
 from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.dynamics import loads
-from rfem_jax.mechanics.dynamics.dynamics import total_dissipated
-from rfem_jax.mechanics.elements.elasticity import dissipated_power
 from rfem_jax.mechanics.forces.bush_contacts import contact_losses, contact_memory, remembers, with_memory
-from rfem_jax.mechanics.forces.element_loads import element_tangents, frame_loads
 from rfem_jax.mechanics.forces.friction import (
-    Ahead,
     FrictionLine,
     FrictionTangent,
-    cut_forces,
-    cut_friction,
     friction_lines,
     friction_tangent,
     losses,
-    tree_friction,
-    with_friction,
+    states_in,
 )
-from rfem_jax.mechanics.forces.joint_forces import law_forces, law_tangent
+from rfem_jax.mechanics.forces.tangents import NO_FRICTION, force_tangents
 from rfem_jax.mechanics.implicit.condensation import LinkOperator, link_operators, present_operators
 from rfem_jax.mechanics.implicit.newton import IterationMatrix, iteration_matrix, newton_increment
 from rfem_jax.mechanics.implicit.residual import (
@@ -73,9 +66,9 @@ from rfem_jax.mechanics.implicit.residual import (
     residual_forces,
     residual_of,
     rounding_force,
-    spatial_accelerations,
+    with_wrenches,
 )
-from rfem_jax.mechanics.kinematics.cut_joints import Closure, closure, spring_row_tangent
+from rfem_jax.mechanics.kinematics.cut_joints import Closure, closure
 from rfem_jax.mechanics.kinematics.motion import Motion, motion_of
 from rfem_jax.mechanics.model.inputs import DriveInput, impose
 from rfem_jax.mechanics.model.model import Coordinates, State, Topology
@@ -93,8 +86,8 @@ from rfem_jax.simulation.solvers.implicit_step import (
     StepEnd,
     StepStart,
     Unknowns,
-    form_matrix,
     solved_step,
+    traced_once,
 )
 
 CLOSED = 1e-7  # drift of the cut joints that Newton's method may leave, relative to the longest link
@@ -120,10 +113,9 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         diffrax.diffeqsolve(terms, GeneralisedAlphaSolver(method), t0, t1, h, y0, args=conditions, ...)
 
     with y0 = (`Trajectory`, squared maxima (2, joints) so far of axial and normal forces), args = `Conditions`
-    of one phase of the drive, terms = `diffrax.ODETerm(stepping.vector_field)`.  One call integrates between two
-    jumps of the drive.  Steps may vary; if all have one length, and the `operators` of the conditions are those of
-    this length, they are not formed in every step.  A step in which Newton's method fails has the result
-    `nonlinear_max_steps_reached`.
+    of one phase of the drive, terms = `stepping.TERMS`.  One call integrates between two jumps of the drive.  Steps may
+    vary; if all have one length, and the `operators` of the conditions are those of this length, they are not formed in
+    every step.  A step in which Newton's method fails has the result `nonlinear_max_steps_reached`.
 
     **Arguments:** `method`: an implicit `Method`.
 
@@ -235,7 +227,7 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
             largest = jnp.maximum(largest, squared_moments(trajectory, solver_state, t1) / args.stabilisation.scale**2)
         constants = StepConstants(t1, h, jnp.sqrt(largest))
         operators, constants, fixed = jax.lax.stop_gradient((operators, constants, start))
-        matrix = form_matrix(self, operators, constants, fixed)
+        matrix = self.iteration_matrix(operators, constants, fixed)
         trajectory, memory = solved_step(self, matrix, constants, start)
         y1 = trajectory, jnp.maximum(peaks, equations.squared_loads(memory.rates))
         allowed = RESIDUAL_LIMIT * jnp.sqrt(equations.largest_component(jax.lax.stop_gradient(y1[1])))
@@ -295,6 +287,7 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         instant = evaluated_instant(topology, evaluation, accelerations, drive, scale, forces)
         return equations.squared_loads(memory.rates), state, drive, instant
 
+    @traced_once
     def solve(self, matrix: IterationMatrix, constants: StepConstants, start: StepStart) -> StepEnd:
         """Newton's method from the prediction, by increments with the iteration matrix."""
         conditions, trajectory, memory = start
@@ -319,8 +312,7 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
             count, _, unknowns, residual, lines, _ = carry
             present = matrix
             if renewed:
-                if lines is not None:
-                    lines = friction_lines(conditions.actual, residual.laws.friction, lines, count)
+                lines = friction_lines(conditions.actual, states_in(residual.laws), lines, count)
                 present = self.matrix_at(matrix, unknowns, residual, constants, start, lines)
                 residual = residual_of(residual)
             increment = newton_increment(topology, present, residual)
@@ -334,11 +326,11 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         count, converged = with_batch_axes(
             (jnp.zeros((), jnp.int32), jnp.zeros((), bool)), *(x for x in jax.tree.leaves(predicted) if x.size)
         )
-        found = None if evaluation.laws is None else evaluation.laws.friction
-        lines = None if found is None else friction_lines(conditions.actual, found)
+        lines = friction_lines(conditions.actual, states_in(evaluation.laws))
         carry = count, converged, predicted, kept(evaluation), lines, StepEnd(trajectory, memory)
         return jax.lax.while_loop(unconverged, improve, carry)[-1]
 
+    @traced_once
     def iteration_matrix(
         self, operators: tuple[LinkOperator | None, ...], constants: StepConstants, start: StepStart
     ) -> IterationMatrix:
@@ -370,13 +362,11 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
             return matrix
         drive = conditions.drives.at(constants.end, conditions.phase)
         state, _ = self._newmark(h, trajectory, memory, unknowns.accelerations, actual.topology, drive)
-        tangent = None
-        if evaluation.laws is not None and evaluation.laws.friction is not None:
-            ahead = _friction_delay(constants, start)
-            factor = self.factors(h)[1] + (0.0 if ahead is None else ahead)
-            tangent = friction_tangent(actual, evaluation.laws.friction, factor, lines)
+        ahead = _friction_delay(constants, start)
+        factor = self.factors(h)[1] + (0.0 if ahead is None else ahead)
+        friction = friction_tangent(actual, states_in(evaluation.laws), factor, lines)
         return self._matrix(
-            matrix.operators, state, evaluation.motion, evaluation.closure, h, conditions, drive, tangent
+            matrix.operators, state, evaluation.motion, evaluation.closure, h, conditions, drive, friction
         )
 
     def _matrix(
@@ -388,20 +378,12 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         h: Float[Array, ""],
         conditions: Conditions,
         drive: DriveInput,
-        of_friction: FrictionTangent | None = None,
+        friction: FrictionTangent = NO_FRICTION,
     ) -> IterationMatrix:
         """The iteration matrix at a state and its motion."""
-        actual, factors = conditions.actual, self.factors(h)
-        of_laws, of_elements, in_cuts = law_tangent(actual, state, *factors), None, None
-        if of_friction is not None:
-            in_cuts = of_friction.cuts
-            for k, value in of_friction.tree.items():
-                of_laws[k] = of_laws[k] + value if k in of_laws else value
-        if actual.frame_forces is not None:
-            of_elements = element_tangents(actual, motion, drive.time, *factors)
-        of_rows = spring_row_tangent(actual, cuts, conditions.stabilisation.scale, *factors)
-        held = conditions.drives.prescribed
-        return iteration_matrix(actual, operators, motion, cuts, held, of_laws, of_elements, of_rows, in_cuts)
+        actual, scale = conditions.actual, conditions.stabilisation.scale
+        tangents = force_tangents(actual, state, motion, cuts, drive.time, scale, self.factors(h), friction)
+        return iteration_matrix(actual, operators, motion, cuts, conditions.drives.prescribed, tangents)
 
     def predict(self, constants: StepConstants, start: StepStart) -> Unknowns:
         """Accelerations and multipliers of the last step as a first guess.
@@ -449,27 +431,8 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         actual = conditions.actual
         drive = conditions.drives.at(constants.end, conditions.phase)
         state, auxiliary = self._newmark(h, trajectory, memory, unknowns.accelerations, actual.topology, drive)
-        laws, cuts, at_cuts = law_forces(actual, state), evaluation.closure, None
-        if actual.friction is not None:
-            motion, later = motion_of(actual, state), None
-            if (ahead := _friction_delay(constants, start)) is not None:
-                nodes = spatial_accelerations(actual, motion, state, unknowns.accelerations)
-                later = Ahead(ahead, unknowns.accelerations.joints, nodes)
-            in_cuts = cut_friction(actual, motion, cuts, unknowns.multipliers, later)
-            in_tree = tree_friction(actual, state, evaluation.motion, wrenches, later)
-            laws = with_friction(actual, laws, in_cuts | in_tree)
-            at_cuts = cut_forces(actual, in_cuts)
-        now = None
-        if actual.topology.sprung_rows:
-            now = closure(actual, motion_of(actual, state), conditions.stabilisation.scale)
-        at_nodes = None if actual.frame_forces is None else frame_loads(actual, motion_of(actual, state), drive.time)
-        evaluation = evaluation._replace(
-            multipliers=unknowns.multipliers,
-            wrenches=[*wrenches, *loads.cut_wrenches(actual.topology, cuts, unknowns.multipliers, at_cuts)],
-            dissipated=total_dissipated(dissipated_power(actual, state), laws, at_nodes, now),
-            laws=laws,
-            frame_loads=at_nodes,
-        )
+        scale, ahead = conditions.stabilisation.scale, _friction_delay(constants, start)
+        evaluation = with_wrenches(evaluation, wrenches, actual, state, *unknowns, drive, scale, ahead)
         return self._step_end(evaluation, unknowns, state, auxiliary, drive, h, start)
 
     def _closing_as_acceleration(self, evaluation: Evaluation, h) -> Evaluation:

@@ -147,31 +147,21 @@ class ImplicitMethod(Protocol):
         ...
 
 
-@functools.partial(jax.jit, static_argnums=0)
-def form_matrix(
-    method: ImplicitMethod, operators: tuple[LinkOperator | None, ...], constants: StepConstants, start: StepStart
-) -> IterationMatrix:
-    """The iteration matrix of a step; jitted, so that transformations of the loops around it trace it once."""
-    return method.iteration_matrix(operators, constants, start)
+# Of a method's own functions, which transformations of the loops around them would trace again and again.
+traced_once = functools.partial(jax.jit, static_argnums=0)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def solved_step(method: ImplicitMethod, matrix: IterationMatrix, constants: StepConstants, start: StepStart) -> StepEnd:
     """The end of a step, differentiable with respect to its start."""
-    end = _solve(method, matrix, constants, start)
+    end = method.solve(matrix, constants, start)
     return with_batch_axes(end, *_batched_accelerations(end.memory.accelerations))
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _solution(method, matrix, constants, start):
     """The unknowns that solve the equations of a step."""
-    return _unknowns_of(_solve(method, matrix, constants, start))
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def _solve(method, matrix, constants, start):
-    """`method.solve`, jitted as `form_matrix`."""
-    return method.solve(matrix, constants, start)
+    return _unknowns_of(method.solve(matrix, constants, start))
 
 
 def _batched_accelerations(accelerations: Coordinates) -> list[Array]:
@@ -203,7 +193,7 @@ solved_step.defjvp(_differentiate, symbolic_zeros=True)
 _solution.defjvp(_differentiate_solution, symbolic_zeros=True)
 
 
-@functools.partial(jax.jit, static_argnums=0)
+@traced_once
 def _end_and_tangent(method, matrix, constants, solution, inputs, fixed, along):
     """End of a solved step, and its derivative along a tangent of the active inputs."""
 
@@ -218,8 +208,7 @@ def _end_and_tangent(method, matrix, constants, solution, inputs, fixed, along):
     (_, end), linearised, evaluation = jax.linearize(at, solution, inputs, has_aux=True)
     start = eqx.combine(inputs, fixed)
     topology = start.conditions.actual.topology
-    if start.conditions.actual.friction is not None or topology.clearances:
-        matrix = jax.lax.stop_gradient(method.matrix_at(matrix, solution, evaluation, constants, start))
+    matrix = jax.lax.stop_gradient(method.matrix_at(matrix, solution, evaluation, constants, start))
 
     # What the last increment changes of the loads also follows from the iteration matrix, as accurately as the
     # increment itself; another evaluation of the linearised equations would cost half as much again.

@@ -11,10 +11,8 @@ from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
@@ -30,13 +28,14 @@ from rfem_jax.description.tolerances.error_catalogue import error_unit
 from rfem_jax.mechanics.model.errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.status import PAST_LIMIT, STATUS
-from rfem_jax.mechanics.statics.designs import Design, NamedValue, parameters
-from rfem_jax.simulation.conclusion import run_of
+from rfem_jax.mechanics.statics.designs import Design, Designed, NamedValue, designed, parameters
+from rfem_jax.simulation.conclusion import run_of_design
 from rfem_jax.simulation.driving import design_with, drive_numbers, drive_of_design, require_driven
-from rfem_jax.simulation.integration import conclude, grid_for, integrated, simulate_steps
+from rfem_jax.simulation.integration import grid_for
 from rfem_jax.simulation.locking import FAILED_IN_MOTION, DriveLimit, drive_limit
 from rfem_jax.simulation.records import require_records
-from rfem_jax.simulation.run import RESIDUAL_LIMIT, of_model
+from rfem_jax.simulation.run import RESIDUAL_LIMIT
+from rfem_jax.simulation.simulating import simulated
 from rfem_jax.simulation.specification import Simulation, simulation_of_call
 from rfem_jax.simulation.stepping import Integration, contact_tolerance_of
 from rfem_jax.simulation.time_grid import TimeGrid, longest_interval, of_any_step
@@ -188,8 +187,7 @@ class Problem(eqx.Module):
     @property
     def _limit(self) -> DriveLimit | None:
         """Where the loops stop closing under the drive."""
-        drive = self.drive if self.design is None else drive_of_design(self.model, self.drive, self.design)
-        return drive_limit(self.model, drive, self.duration)
+        return drive_limit(self.model, drive_of_design(self.model, self.drive, self.design), self.duration)
 
     @property
     def undamped(self) -> bool:
@@ -247,11 +245,9 @@ class Problem(eqx.Module):
         problem, errors = self._split(errors)
         if problem.design is not None or errors.parameters is not None:
             return _values_and_status(problem, errors)
-        model, drive, method = replace(problem.model, source=None), problem.drive, problem.method
-        grid, steps = problem._grid()
-        if not any(isinstance(x, Tracer) for x in jax.tree.leaves((model, errors, drive))):
-            method, grid, steps = of_any_step(method, grid, steps)  # one program for all steps; none of reverse mode
-        return _values_of_numbers(problem.metrics, Integration(model, drive, grid, method, steps), errors)
+        model = replace(problem.model, source=None)
+        integration = Integration.of_any_step(model, problem.drive, *problem._grid(), problem.method, errors)
+        return _values_of_numbers(problem.metrics, integration, errors)
 
     def with_residual(
         self, errors: Errors
@@ -262,9 +258,11 @@ class Problem(eqx.Module):
         n = 0.
         """
         problem, errors = self._split(errors)
-        grid, steps = problem._grid()
-        settings = {"design": problem.design, "record": problem.records}
-        run = simulate_steps(problem.model, errors, problem.drive, grid, problem.method, steps, **settings)
+        drive = drive_of_design(problem.model, problem.drive, problem.design)
+        made = designed(problem.model, problem.design, errors)
+        integration = Integration.of_any_step(made.model, drive, *problem._grid(), problem.method, made)
+        asked = require_records(made.model, problem.records)
+        run = run_of_design(made, simulated(integration, made.errors, None, None, asked))
         forces = jnp.stack([load.force for load in run.loads.values()])
         values = {m.name: jnp.asarray(m(run)) for m in self.metrics}
         return values, jnp.asarray(run.status), jnp.asarray(run.checks.equation_residual), forces
@@ -308,8 +306,7 @@ def _values_and_status(problem: Problem, errors: AssemblyErrors) -> tuple[Values
 def _values_of_numbers(metrics, whole: Integration, errors):
     """As `_values_and_status`, of a mechanism whose numbers are those of the model."""
     asked = require_records(whole.model, _records_of(metrics))
-    conclusion = conclude(whole, *integrated(whole, errors), asked)
-    run = of_model(run_of(whole.model, conclusion), whole.model, errors)
+    run = run_of_design(Designed(whole.model, errors), simulated(whole, errors, None, None, asked))
     return {m.name: jnp.asarray(m(run)) for m in metrics}, run.status
 
 

@@ -38,7 +38,7 @@ from rfem_jax.tolerancing.robust_design.observations import Observer
 from rfem_jax.tolerancing.robust_design.request import check_allocation
 from rfem_jax.tolerancing.robust_design.result import Allocation
 from rfem_jax.tolerancing.robust_design.variables import at_ends
-from rfem_jax.tolerancing.robust_design.verification import Verified, check_limits
+from rfem_jax.tolerancing.robust_design.verification import ErrorSample, Verified, check_limits
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
 from rfem_jax.tolerancing.worst_cases import STARTS
 
@@ -103,11 +103,9 @@ def allocate(
     if criterion == "worst_case":
         study: Criterion = CorrectedWorstCase(observer, design, starts)
     else:
-        study = CorrectedStatistics(
-            observer, design, criterion, level=target, coverage=coverage, statistic=statistic,
-            distribution=distribution, samples=_sample_number(samples, criterion, target),
-            verify_samples=verify_samples,
-        )  # fmt: skip
+        count = _sample_number(samples, criterion, target)
+        sample = ErrorSample(criterion, target, coverage, distribution, count, verify_samples)
+        study = CorrectedStatistics(observer, design, sample, statistic)
     return _solve(study, criterion, rounds, tolerance, (refine, verify, last))
 
 

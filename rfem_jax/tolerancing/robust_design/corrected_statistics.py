@@ -17,20 +17,16 @@ Symbols: t (v,) sizes [rad, m], of which each of k coordinates has one (`sizes`)
 (<= 0 holds), u (n, k) standard points (coordinates for t = 1).
 """
 
-from collections.abc import Callable
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.stats import norm
 
-from rfem_jax.tolerancing.optimisation.starting_points import sobol_units
-from rfem_jax.tolerancing.problems.distributions import Tolerance
 from rfem_jax.tolerancing.robust_design.corrected_model import Answer, CorrectedModel, HalfWidths, Normalised
 from rfem_jax.tolerancing.robust_design.models import Moments, Sample, Sampled, quantile_weights, sample_quantile
 from rfem_jax.tolerancing.robust_design.observations import Observer
-from rfem_jax.tolerancing.robust_design.verification import Verified, sampled_limits, verify_sample, within
+from rfem_jax.tolerancing.robust_design.verification import ErrorSample, Verified, sampled_limits, within
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
 from rfem_jax.tolerancing.sampling.statistics import estimate_mean, estimate_quantile
 
@@ -41,35 +37,19 @@ BEYOND = 1e300  # value of a failed sample where an order is needed
 class CorrectedStatistics(CorrectedModel):
     """RSS or yield over a distribution of the errors; see the module's docstring.
 
-    Args: observer; key of the standard points; kind "rss" or "yield"; level, the yield aimed at; coverage c and
-        statistic "quantile" or "mean" of "rss"; distribution, a callable half-width -> Tolerance; samples, the number
-        of standard points; verify_samples of a fresh run.
+    Args: observer; key of the standard points; sample of errors; statistic "quantile" or "mean" of "rss".
     """
 
-    def __init__(
-        self,
-        observer: Observer,
-        key: RandomKey,
-        kind: str,
-        *,
-        level: float,
-        coverage: float,
-        statistic: str,
-        distribution: Callable[[float], Tolerance],
-        samples: int,
-        verify_samples: int,
-    ):
+    def __init__(self, observer: Observer, key: RandomKey, sample: ErrorSample, statistic: str):
         super().__init__(observer)
-        self.joint = kind == "yield"
+        self.sample, self.joint = sample, sample.joint
         # The cost of a yield has a sampling error of percents: digits beyond are not worth a round.
         self.settling = 10.0 if self.joint else 1.0
         self.statistic = "quantile" if self.joint else statistic
-        self.coverage = coverage
-        self.level = level if self.joint else float(norm.cdf(coverage))
+        self.level = sample.level if self.joint else float(norm.cdf(sample.coverage))
         self.aim, self.extra = self.level, np.zeros(len(self.request.limits))
-        self.distribution, self.verify_samples = distribution(1.0), verify_samples
-        self.units = self.sizes.standard(self.distribution, sobol_units(len(self.sizes.errors), samples, key))
-        self.good = np.ones(samples, dtype=bool)
+        self.units = sample.points(self.sizes, key)
+        self.good = np.ones(sample.samples, dtype=bool)
         self.sampled: Sampled | None = None
         self.observed: HalfWidths | None = None
 
@@ -94,8 +74,8 @@ class CorrectedStatistics(CorrectedModel):
 
     def _moments(self, sampled: Sampled | None = None, weights: jax.Array | None = None) -> Moments:
         """Those of the quadratic model alone where there are no samples."""
-        deviation = jnp.asarray(self.sizes.deviations(self.distribution))
-        coverage, extra = jnp.asarray(float(self.coverage)), jnp.asarray(self.extra)
+        deviation = jnp.asarray(self.sizes.deviations(self.sample.of_width_one))
+        coverage, extra = jnp.asarray(float(self.sample.coverage)), jnp.asarray(self.extra)
         weights = jnp.zeros(0) if weights is None else weights
         return Moments(self.quadratic, deviation, coverage, extra, sampled, weights, self.statistic)
 
@@ -183,10 +163,7 @@ class CorrectedStatistics(CorrectedModel):
 
     def verify(self, t: HalfWidths, key: RandomKey) -> Verified:
         """A fresh Monte Carlo run at t."""
-        return verify_sample(
-            self.observer, lambda z: self.variables.scattered(t, z), key, self.distribution, self.verify_samples,
-            self._estimate,
-        )  # fmt: skip
+        return self.sample.verify(self.observer, lambda z: self.variables.scattered(t, z), key, self._estimate)
 
     def _estimate(self, h) -> tuple[float, float, float]:
         """Value, low and high end of the statistic of samples h (n,)."""

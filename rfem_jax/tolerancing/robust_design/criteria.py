@@ -16,7 +16,6 @@ Symbols: y (p,) variables; h (n, l) normalised limits, at most 0 where they hold
 
 import abc
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -31,14 +30,13 @@ from rfem_jax.tolerancing.optimisation.starting_points import (
     sobol_units,
     spread_points,
 )
-from rfem_jax.tolerancing.problems.distributions import Tolerance
 from rfem_jax.tolerancing.robust_design.models import quantile_weights
 from rfem_jax.tolerancing.robust_design.observations import Observed, Observer
 from rfem_jax.tolerancing.robust_design.request import Limit
 from rfem_jax.tolerancing.robust_design.verification import (
+    ErrorSample,
     Verified,
     mean_and_deviations,
-    verify_sample,
     without_interval,
 )
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
@@ -171,28 +169,11 @@ class WorstCaseCriterion(Criterion):
 
 
 class SampleCriterion(Criterion):
-    """Limits hold for a fixed sample of a distribution: by root sum of squares, or at a yield.
+    """Limits hold for a fixed sample of a distribution: by root sum of squares, or at a yield."""
 
-    Arguments: kind "rss" or "yield"; level, of a yield; coverage, deviations of "rss"; distribution, a callable
-    half-width -> Tolerance; samples, number of standard points; verify_samples of a fresh run.
-    """
-
-    def __init__(
-        self,
-        observer: Observer,
-        key: RandomKey,
-        *,
-        kind: str,
-        level: float,
-        coverage: float,
-        distribution: Callable[[float], Tolerance],
-        samples: int,
-        verify_samples: int,
-    ):
-        sizes = observer.request.variables.sizes
-        self.distribution, self.verify_samples = distribution(1.0), verify_samples
-        super().__init__(observer, sizes.standard(self.distribution, sobol_units(len(sizes.errors), samples, key)))
-        self.kind, self.level, self.aim, self.coverage = kind, level, level, coverage
+    def __init__(self, observer: Observer, key: RandomKey, sample: ErrorSample):
+        super().__init__(observer, sample.points(observer.request.variables.sizes, key))
+        self.sample, self.level, self.aim = sample, sample.level, sample.level
         self.extra = 0.0
 
     def reduce(self, h: Float[np.ndarray, "n l"], dh: Float[np.ndarray, "n l p"]) -> Constrained:
@@ -200,17 +181,17 @@ class SampleCriterion(Criterion):
         h, dh = h[1:], dh[1:]
         good = np.isfinite(h).all(axis=1) & np.isfinite(dh).all(axis=(1, 2))
         count, limits = len(h), range(len(self.limits))
-        if not good.any() or (self.kind == "yield" and np.mean(good) <= self.aim):
+        if not good.any() or (self.sample.joint and np.mean(good) <= self.aim):
             return _failed(len(self.limits), dh.shape[2], limits)
         h, dh = h[good], dh[good]
-        if self.kind == "rss":
+        if not self.sample.joint:
             mean, slope = h.mean(axis=0), dh.mean(axis=0)
             away = h - mean
             deviation = np.sqrt((away**2).sum(axis=0) / max(len(h) - 1, 1))
             along = np.einsum("nl,nlp->lp", away, dh - slope) / max(len(h) - 1, 1)
             safe = np.where(deviation > 0.0, deviation, 1.0)
-            value = mean + self.coverage * deviation + self.extra
-            return _constrained(value, slope + self.coverage * along / safe[:, None], limits)
+            value = mean + self.sample.coverage * deviation + self.extra
+            return _constrained(value, slope + self.sample.coverage * along / safe[:, None], limits)
         worst = np.argmax(h, axis=1)
         rows = np.arange(len(h))
         order = np.argsort(h[rows, worst], kind="stable")
@@ -221,20 +202,18 @@ class SampleCriterion(Criterion):
 
     def verify(self, y: Float[np.ndarray, " p"], key: RandomKey) -> Verified:
         """As `Criterion.verify`: an independent Monte Carlo run."""
-        return verify_sample(
-            self.observer, lambda z: self.variables.deviations(y, z), key, self.distribution, self.verify_samples,
-            mean_and_deviations(self.coverage),
-        )  # fmt: skip
+        statistic = mean_and_deviations(self.sample.coverage)
+        return self.sample.verify(self.observer, lambda z: self.variables.deviations(y, z), key, statistic)
 
     def shortfall(self, verified: Verified) -> float:
         """As `Criterion.shortfall`."""
-        if self.kind == "rss":
+        if not self.sample.joint:
             return super().shortfall(verified)
         return self.level - verified.fraction if verified.interval[1] < self.level else 0.0
 
     def tighten(self, shortfall: float) -> None:
         """Aim higher after a fresh run fell short: of a yield by the fraction, of "rss" by the normalised limit."""
-        if self.kind == "rss":
+        if not self.sample.joint:
             self.extra += shortfall
         else:
             self.aim += min(shortfall, 0.5 * (1.0 - self.aim))
@@ -288,9 +267,9 @@ def _failed(count: int, variables: int, limits: Sequence[int]) -> Constrained:
     return Constrained(np.full(count, FAILED), np.zeros((count, variables)), tuple(limits))
 
 
-CRITERIA: dict[str, Callable[..., Criterion]] = {
-    "nominal": lambda observer, key, **_: NominalCriterion(observer),
-    "worst_case": lambda observer, key, **_: WorstCaseCriterion(observer),
-    "rss": partial(SampleCriterion, kind="rss"),
-    "yield": partial(SampleCriterion, kind="yield"),
+CRITERIA: dict[str, Callable[[Observer, RandomKey, ErrorSample], Criterion]] = {
+    "nominal": lambda observer, key, sample: NominalCriterion(observer),
+    "worst_case": lambda observer, key, sample: WorstCaseCriterion(observer),
+    "rss": SampleCriterion,
+    "yield": SampleCriterion,
 }

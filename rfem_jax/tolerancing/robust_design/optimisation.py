@@ -45,7 +45,7 @@ from rfem_jax.tolerancing.robust_design.search import (
     least_violation,
     minimise_within,
 )
-from rfem_jax.tolerancing.robust_design.verification import Verified, check_limits, within
+from rfem_jax.tolerancing.robust_design.verification import ErrorSample, Verified, check_limits, within
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
 
 EXCHANGES = 12  # of worst points, at most
@@ -112,10 +112,8 @@ def optimise(
     observer = Observer(request, progress)
     observer.require_reproduced()
     keys = jax.random.split(key, 4)
-    criterion = CRITERIA[robust](
-        observer, keys[0], level=target, coverage=coverage, distribution=distribution, samples=samples,
-        verify_samples=verify_samples,
-    )  # fmt: skip
+    sample = ErrorSample(robust, target, coverage, distribution, samples, verify_samples)
+    criterion = CRITERIA[robust](observer, keys[0], sample)
     study = _Study(observer, criterion, robust, steps)
     begun = study.begin(starts, keys[1])[:searches]
     solved = [study.solve(start, jax.random.fold_in(keys[2], n)) for n, start in enumerate(begun)]

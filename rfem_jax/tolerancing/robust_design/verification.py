@@ -5,12 +5,15 @@ the program without derivatives.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Float
 
+from rfem_jax.tolerancing.optimisation.sizes import Sizes
+from rfem_jax.tolerancing.optimisation.starting_points import sobol_units
 from rfem_jax.tolerancing.problems.distributions import Tolerance
 from rfem_jax.tolerancing.robust_design.observations import Observer
 from rfem_jax.tolerancing.robust_design.request import Limit
@@ -42,26 +45,54 @@ def without_interval(h: Float[np.ndarray, " l"], values: Float[np.ndarray, "n m"
     return Verified(h, h, h, np.nan, (np.nan, np.nan), int(np.sum(~np.isfinite(values).all(axis=1))), what)
 
 
-def verify_sample(
-    observer: Observer,
-    deviations: Callable[[Float[np.ndarray, "n k"]], Float[np.ndarray, "n names"]],
-    key: RandomKey,
-    distribution: Tolerance,
-    samples: int,
-    statistic: Statistic,
-) -> Verified:
-    """An independent Monte Carlo run: a statistic of every limit, and the yield.
+@dataclass(frozen=True)
+class ErrorSample:
+    """The samples of errors with which limits hold by root sum of squares, or at a yield.
 
-    Args: deviations, of standard points at the answer; distribution of half-width 1; statistic, h (n,) of a limit, NaN
-        where a sample failed -> value, low and high end.
+    kind "rss" or "yield"; level, the fraction of a yield; coverage, number of deviations of "rss"; distribution, a
+    callable half-width -> Tolerance; samples, the number of standard points; verify_samples of a fresh run.
     """
-    sizes = observer.request.variables.sizes
-    units = np.asarray(jax.random.uniform(key, (samples, len(sizes.errors)), minval=1e-12))
-    h, failed = sampled_limits(observer, deviations(sizes.standard(distribution, units)))
-    value, low, high = np.array([statistic(column) for column in h.T]).T
-    fraction = estimate_yield(within(h))
-    interval, what = (fraction.low, fraction.high), f"an independent Monte Carlo run of {samples} samples"
-    return Verified(value, low, high, fraction.value, interval, failed, what)
+
+    kind: str
+    level: float
+    coverage: float
+    distribution: Callable[[float], Tolerance]
+    samples: int
+    verify_samples: int
+
+    @property
+    def joint(self) -> bool:
+        """Whether one constraint counts all limits."""
+        return self.kind == "yield"
+
+    @property
+    def of_width_one(self) -> Tolerance:
+        """The distribution of half-width 1."""
+        return self.distribution(1.0)
+
+    def points(self, sizes: Sizes, key: RandomKey) -> Float[np.ndarray, "n k"]:
+        """Standard points."""
+        return sizes.standard(self.of_width_one, sobol_units(len(sizes.errors), self.samples, key))
+
+    def verify(
+        self,
+        observer: Observer,
+        deviations: Callable[[Float[np.ndarray, "n k"]], Float[np.ndarray, "n names"]],
+        key: RandomKey,
+        statistic: Statistic,
+    ) -> Verified:
+        """An independent Monte Carlo run: a statistic of every limit, and the yield.
+
+        Args: deviations, of standard points at the answer; statistic, h (n,) of a limit, NaN where a sample failed ->
+            value, low and high end.
+        """
+        sizes, count = observer.request.variables.sizes, self.verify_samples
+        units = np.asarray(jax.random.uniform(key, (count, len(sizes.errors)), minval=1e-12))
+        h, failed = sampled_limits(observer, deviations(sizes.standard(self.of_width_one, units)))
+        value, low, high = np.array([statistic(column) for column in h.T]).T
+        fraction = estimate_yield(within(h))
+        interval, what = (fraction.low, fraction.high), f"an independent Monte Carlo run of {count} samples"
+        return Verified(value, low, high, fraction.value, interval, failed, what)
 
 
 def sampled_limits(observer: Observer, points: Float[np.ndarray, "n names"]) -> tuple[Float[np.ndarray, "n l"], int]:
