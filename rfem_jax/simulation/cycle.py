@@ -32,7 +32,7 @@ from rfem_jax.mechanics.statics.designs import Design, designed
 from rfem_jax.simulation import integration
 from rfem_jax.simulation.conclusion import Conclusion, run_of, with_status
 from rfem_jax.simulation.driving import Drive, drive_of_design, require_driven
-from rfem_jax.simulation.records import require_records
+from rfem_jax.simulation.records import asks_perfect_path
 from rfem_jax.simulation.run import Run
 from rfem_jax.simulation.specification import Simulation, simulation_of_call
 from rfem_jax.simulation.stepping import Integration
@@ -83,7 +83,7 @@ def steady_cycle(
     errors = errors_of(model, errors)
     made = designed(model, design, errors)
     model, errors = made.model, errors if made.errors is None else made.errors
-    asked, revolution = require_records(model, record), Integration(model, drive, grid, method, steps)
+    asked, revolution = _records_of_cycle(model, record), Integration(model, drive, grid, method, steps)
     state, conclusion = _revolution(revolution, errors, None, asked)
     start, pairs = state, []
     residual, done = np.inf, 1
@@ -124,7 +124,7 @@ def cycle_run(
     grid, steps = integration.grid_for(drive, period, method, simulation.save_every, model)
     made = designed(model, design, errors_of(model, errors))
     assert made.errors is not None, "errors were given"
-    asked = require_records(model, record)
+    asked = _records_of_cycle(model, record)
     conclusion = _periodic(Integration(made.model, drive, grid, method, steps), made.errors, cycle.start, asked)
     return with_status(run_of(made.model, conclusion), made)
 
@@ -159,6 +159,17 @@ def _with_period(model: Model, drive: PrescribedRate, design: Design | None) -> 
         assert isinstance(designed_drive, PrescribedRate), "its kind stays"
         drive = designed_drive
     return drive, abs(2.0 * np.pi / float(drive.rate))
+
+
+def _records_of_cycle(model: Model, record: str | Iterable[str]) -> tuple[str, ...]:
+    """The names of records. Raises InputError for one that a cycle does not have."""
+    asked = _records_of_cycle(model, record)
+    if asks_perfect_path(asked):
+        raise InputError(
+            "Argument `record` of a cycle must leave out paths of the perfect mechanism, whose cycle is another one; "
+            "leave out metrics of deviations, or find that cycle, too, and compare `run.points` of both."
+        )
+    return asked
 
 
 def _require_sensible(simulation: Simulation, tolerance: float, most: int) -> None:

@@ -47,7 +47,13 @@ from rfem_jax.simulation.conclusion import Conclusion, ball_angles, load_summary
 from rfem_jax.simulation.driving import active_drives, all_jumps, all_step_ends, drive_of_design
 from rfem_jax.simulation.equations import Conditions, Trajectory
 from rfem_jax.simulation.observation import Record, energy_at, observe
-from rfem_jax.simulation.records import finished_records, instant_records, require_records
+from rfem_jax.simulation.records import (
+    PerfectPath,
+    asks_perfect_path,
+    finished_records,
+    instant_records,
+    require_records,
+)
 from rfem_jax.simulation.run import Energy, Run, of_model
 from rfem_jax.simulation.solvers.implicit_step import Memory
 from rfem_jax.simulation.stepping import Carry, Integration, entries_of, last_step, repeated
@@ -90,7 +96,11 @@ def simulate_steps(
     if not any(isinstance(x, Tracer) for x in jax.tree.leaves((made, drive, start))):
         method, grid, steps = of_any_step(method, grid, steps)  # one program for all steps; none of reverse mode
     integration = Integration(made.model, drive, grid, method, steps)
-    conclusion = _simulate(integration, made.errors, start, adjoint, asked)
+    perfect = None
+    if asks_perfect_path(asked) and errors.parameters is not None:
+        # Deviations of parameters are in the model already: the perfect mechanism is without them.
+        perfect = Integration(designed(model, design, None).model, drive, grid, method, steps)
+    conclusion = _simulate(integration, made.errors, start, adjoint, asked, perfect)
     run = run_of(made.model, conclusion)
     return with_status(of_model(run, made.model, errors if made.errors is None else made.errors), made)
 
@@ -117,8 +127,44 @@ def grid_for(
 
 
 @partial(Program, nameless=True)
-def _simulate(integration, errors, start, adjoint, record):
-    return conclude(integration, *integrated(integration, errors, start, adjoint), record)
+def _simulate(integration, errors, start, adjoint, record, perfect):
+    return concluded(integration, errors, start, adjoint, record, perfect)
+
+
+def concluded(
+    integration: Integration,
+    errors: AssemblyErrors,
+    start: State | None = None,
+    adjoint: diffrax.AbstractAdjoint | None = None,
+    record: Sequence[str] = (),
+    perfect: Integration | None = None,
+) -> Conclusion:
+    """A simulation with its conclusion; `perfect`: of the mechanism whose paths errors are measured from, if it is not
+    the same."""
+    paths = perfect_paths(integration if perfect is None else perfect, record, start, adjoint)
+    return conclude(integration, *integrated(integration, errors, start, adjoint), record, paths)
+
+
+def perfect_paths(
+    integration: Integration,
+    record: Sequence[str],
+    start: State | None = None,
+    adjoint: diffrax.AbstractAdjoint | None = None,
+) -> dict[str, PerfectPath]:
+    """Motions of the points of the mechanism without errors at the saved times, if any record asks for them.
+
+    Nothing of it depends on errors: in a batch of errors it is one simulation.
+    """
+    if not asks_perfect_path(record):
+        return {}
+    prepared, _, ends = integrated(integration, assembly_errors(integration.model), start, adjoint)
+    record = observe_ends(integration, prepared.actual, ends)
+    record = jax.tree.map(lambda x: rows(x, integration.grid.saved), record)
+    topology = integration.model.topology
+    drive = 2 * (jnp.zeros(record.joints.shape[0]),)
+    if topology.drives:
+        drive = record.joints[:, topology.driven_position], record.joint_rates[:, topology.driven_coordinate]
+    return {name: PerfectPath(path, *drive) for name, path in record.points.items()}
 
 
 def integrated(
@@ -267,9 +313,15 @@ def observe_ends(
 
 @partial(kernel, name="conclusion", in_parts=True)
 def conclude(
-    integration: Integration, prepared: Prepared, carry: Carry, ends: IntervalEnd, asked: Sequence[str] = ()
+    integration: Integration,
+    prepared: Prepared,
+    carry: Carry,
+    ends: IntervalEnd,
+    asked: Sequence[str] = (),
+    perfect: dict[str, PerfectPath] | None = None,
 ) -> Conclusion:
-    """Loads, metrics, balances and status from the last carry and all ends of intervals; `asked`: as `observe_ends`."""
+    """Loads, metrics, balances and status from the last carry and all ends of intervals; `asked`: as `observe_ends`;
+    `perfect`: motions of the points of the perfect mechanism, if asked for."""
     model, grid = integration.model, integration.grid
     record = observe_ends(integration, prepared.actual, ends, asked)
     # The maxima are taken at the starts of steps: the last instant is still missing.
@@ -291,6 +343,6 @@ def conclude(
         ball_angles=ball_angles(model, record),
         centre_lines=link_lines(model, prepared.actual, prepared.state.position),
         nominal_lines=link_lines(model, apply_errors(model, assembly_errors(model)), model.start_coordinates()),
-        recorded=finished_records(model, prepared.actual, record.asked, record.friction_losses, asked),
+        recorded=finished_records(model, prepared.actual, record.asked, record.friction_losses, asked, perfect or {}),
         positions=positions,
     )

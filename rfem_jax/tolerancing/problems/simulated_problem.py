@@ -25,7 +25,13 @@ from rfem_jax.description.drives.driven_motions import Drive
 from rfem_jax.description.drives.numbers_by_name import drive_number_unit
 from rfem_jax.description.methods import GeneralisedAlpha, Method
 from rfem_jax.description.metrics.catalogue import kind_and_owner, only_at_start
-from rfem_jax.description.metrics.subjects import JointSubject, LinkSubject, MetricSubjects, require_metric
+from rfem_jax.description.metrics.subjects import (
+    JointSubject,
+    LinkSubject,
+    MetricSubjects,
+    PointSubject,
+    require_metric,
+)
 from rfem_jax.description.tolerances.error_catalogue import error_unit
 from rfem_jax.mechanics.model.errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.model.model import Model
@@ -33,7 +39,7 @@ from rfem_jax.mechanics.model.status import PAST_LIMIT, STATUS
 from rfem_jax.mechanics.statics.designs import Design, NamedValue, parameters
 from rfem_jax.simulation.conclusion import run_of
 from rfem_jax.simulation.driving import design_with, drive_numbers, drive_of_design, require_driven
-from rfem_jax.simulation.integration import conclude, grid_for, integrated, simulate_steps
+from rfem_jax.simulation.integration import concluded, grid_for, simulate_steps
 from rfem_jax.simulation.locking import FAILED_IN_MOTION, DriveLimit, drive_limit
 from rfem_jax.simulation.records import require_records
 from rfem_jax.simulation.run import RESIDUAL_LIMIT, of_model
@@ -308,7 +314,7 @@ def _values_and_status(problem: Problem, errors: AssemblyErrors) -> tuple[Values
 def _values_of_numbers(metrics, whole: Integration, errors):
     """As `_values_and_status`, of a mechanism whose numbers are those of the model."""
     asked = require_records(whole.model, _records_of(metrics))
-    conclusion = conclude(whole, *integrated(whole, errors), asked)
+    conclusion = concluded(whole, errors, record=asked)
     run = of_model(run_of(whole.model, conclusion), whole.model, errors)
     return {m.name: jnp.asarray(m(run)) for m in metrics}, run.status
 
@@ -375,7 +381,8 @@ def _subjects_of(model: Model) -> MetricSubjects:
         for name, j in ((name, topology.joints.index(name)) for name in model.joint_names)
     }
     links = {name: LinkSubject(bool(edges) and edges[l] is not None) for l, name in enumerate(topology.links)}
-    return MetricSubjects(joints, links)
+    points = {name: PointSubject(bool(driven)) for name in model.points or {}}
+    return MetricSubjects(joints, links, points)
 
 
 def finer_method(method: Method, contacts: bool = True) -> Method:
