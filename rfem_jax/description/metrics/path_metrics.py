@@ -21,6 +21,11 @@ from rfem_jax.description.basics.units import quantity
 from rfem_jax.description.metrics.catalogue import BELOW, MetricKind, add_metric, p_norm
 
 SLOW = 0.01  # of the largest speed: a point that is slower dwells
+# Of a point of which a study asks for no metric.
+REPORTED = (
+    "max_deviation", "rms_deviation", "rms_deviation_along", "rms_deviation_across", "rms_deviation_out_of_plane",
+    "max_angle_deviation",
+)  # fmt: skip
 ROUNDING = 1e-13  # m, rad: of places and angles
 _HALVINGS, _SQUARINGS = 40, 20
 _WITH_UNIT = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?\s*[A-Za-z]+$")

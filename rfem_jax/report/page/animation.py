@@ -53,7 +53,11 @@ def record_animation(runs: Mapping[str, Run]) -> tuple[dict[str, Any], list[Arra
     topology = known[0].model.topology
     counts = [2 if n == 1 else n + 1 for n in topology.elements]
     acting = describe_acting(known[0])
-    paths = sorted(name for name, one in (known[0].model.points or {}).items() if one.observer == BASE)
+    paths = [
+        {"name": name, "link": topology.links[topology.link_of(one.node)]}
+        for name, one in sorted((known[0].model.points or {}).items())
+        if one.observer == BASE
+    ]
     per_time = 6 * (sum(counts) + len(paths)) + 39 * len(topology.joints) + 9 * len(acting["forces"])
     most = max(2, min(MOST_FRAMES, MOST_NUMBERS // (per_time * len(runs))))
     description = {
@@ -93,11 +97,11 @@ def _arrays(run: Run, most: int, description: dict[str, Any]) -> Arrays:
     found |= {f"nominal_{part}": getattr(nominal, part) for part in PARTS}
     found |= {part: getattr(nominal, part) for part in ALL_PARTS[-3:]}
     every = sorted(model.points or {})
-    shown_paths = [every.index(name) for name in description["paths"]]
+    shown_paths = [every.index(one["name"]) for one in description["paths"]]
     found["nominal_path_place"] = nominal.followed[:, shown_paths]
     found["path_place"] = np.zeros((len(rows), 0, 3))
     if shown_paths:
-        places = [np.asarray(run.points[name].position)[rows] for name in description["paths"]]
+        places = [np.asarray(run.points[one["name"]].position)[rows] for one in description["paths"]]
         found["path_place"] = np.stack(places, axis=1)
     return found | acting_arrays(run, description["forces"], rows)
 
@@ -171,7 +175,7 @@ def _fits(description: Any, cases: list[Arrays]) -> bool:
         forces = description.setdefault("forces", [])
         names = names and all(isinstance(one["name"], str) and isinstance(one["links"], list) for one in forces)
         paths = description.setdefault("paths", [])
-        names = names and all(isinstance(one, str) for one in paths)
+        names = names and all(isinstance(one[key], str) for one in paths for key in ("name", "link"))
         laws = description.setdefault("laws", [])
         names = names and all(isinstance(one[key], str) for one in laws for key in ("name", "joint", "motion"))
     except (TypeError, KeyError, AttributeError):
