@@ -158,13 +158,13 @@ def perfect_paths(
     if not asks_perfect_path(record):
         return {}
     prepared, _, ends = integrated(integration, assembly_errors(integration.model), start, adjoint)
-    record = observe_ends(integration, prepared.actual, ends)
-    record = jax.tree.map(lambda x: rows(x, integration.grid.saved), record)
+    observed = observe_ends(integration, prepared.actual, ends)
+    saved = jax.tree.map(lambda x: rows(x, integration.grid.saved), observed)
     topology = integration.model.topology
-    drive = 2 * (jnp.zeros(record.joints.shape[0]),)
+    drive = 2 * (jnp.zeros(saved.joints.shape[0]),)
     if topology.drives:
-        drive = record.joints[:, topology.driven_position], record.joint_rates[:, topology.driven_coordinate]
-    return {name: PerfectPath(path, *drive) for name, path in record.points.items()}
+        drive = saved.joints[:, topology.driven_position], saved.joint_rates[:, topology.driven_coordinate]
+    return {name: PerfectPath(path, *drive) for name, path in saved.points.items()}
 
 
 def integrated(

@@ -31,7 +31,7 @@ from rfem_jax.mechanics.dynamics.point_paths import PointMotion
 from rfem_jax.mechanics.dynamics.section_loads import loads_of_sections, stress_squares
 from rfem_jax.mechanics.model.model import BASE, Model, State, Topology, rfe_fractions
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
-from rfem_jax.simulation.equations import safe_sqrt
+from rfem_jax.simulation.equations import Numbers, safe_sqrt
 from rfem_jax.simulation.observation import Instant
 
 OF_LINKS, OF_JOINTS, OF_RUNS = ("sections", "deflection"), ("turning", "friction_loss", "bearing"), ("masses",)
@@ -43,8 +43,8 @@ class PerfectPath(NamedTuple):
     coordinate, zero without a drive."""
 
     path: PointMotion
-    drive_position: Float[Array, " times"]
-    drive_rate: Float[Array, " times"]
+    drive_position: Float[Numbers, " times"]
+    drive_rate: Float[Numbers, " times"]
 
 
 class SectionHistory(eqx.Module):

@@ -134,7 +134,8 @@ def asked(tmp_path, monkeypatch):
     for drive in [full[start:end], *(f"[drive]{part}" for part in DRIVES.split("[drive]")[1:])]:
         path = tmp_path / "study.toml"
         path.write_text(
-            full[:start] + FORCES + POINT_FORCES + SPRINGS + POINTS + drive + full[end:] + ALL_TASKS + OPTIMISE, encoding="utf-8"
+            full[:start] + FORCES + POINT_FORCES + SPRINGS + POINTS + drive + full[end:] + ALL_TASKS + OPTIMISE,
+            encoding="utf-8",
         )
         load_study(path)
         full = full.replace('section = "own"\n', "body = {mass = 1, centre = [0, 0, 0], inertia = [1, 1, 1]}\n")

@@ -47,6 +47,11 @@ class Point(ChecksItself):
         checks.convert("position", place_on_link, f"`position` {of}")
         checks.convert("relative_to", require_name, f"`relative_to` {of}")
 
+    @property
+    def place(self) -> tuple[float, float, float]:
+        """Its position [m] as three numbers."""
+        return self.position  # pyright: ignore[reportReturnType]  # converted
+
     def require_links(self, links: Mapping[str, Link]) -> None:
         """Raise InputError unless it is a point of one of `links` (by name) that moves against what it is relative
         to."""
@@ -64,7 +69,7 @@ class Point(ChecksItself):
                 f"Argument `relative_to` {of} must be another link, but `{self.link}` is rigid and carries the point, "
                 "which does not move in its frame; leave it out for global axes."
             )
-        x = self.position[0]  # pyright: ignore[reportIndexIssue]  # converted
+        x = self.place[0]
         if link.flexible and not 0.0 <= x <= link.length * (1.0 + _ROUNDING):
             raise InputError(
                 f"Argument `position` {of} must lie on the flexible link `{self.link}` (x from 0 to {link.length} m), "

@@ -60,10 +60,10 @@ def path_instant(owner: str) -> PathInstant:
 
 
 class _Between(NamedTuple):
-    """A place between two saved times: the index of the first one, the share of the interval, its length [s]; whether
+    """A place between two saved times: the number of the one before, the share of the interval, its length [s]; whether
     the run has it."""
 
-    index: Array
+    before: Array
     share: Array
     length: Array
     there: Array
@@ -71,7 +71,7 @@ class _Between(NamedTuple):
 
 def _cubic(at: _Between, values: Float[Array, "times ..."], rates: Float[Array, "times ..."]) -> Float[Array, "..."]:
     """a + s u + s^2 (3 (b - a) - 2 u - v) + s^3 (2 (a - b) + u + v): values a, b and rates u, v at both ends."""
-    (a, b), (u, v) = (values[at.index + i] for i in (0, 1)), (at.length * rates[at.index + i] for i in (0, 1))
+    (a, b), (u, v) = (values[at.before + i] for i in (0, 1)), (at.length * rates[at.before + i] for i in (0, 1))
     s = at.share
     return a + s * (u + s * (3.0 * (b - a) - 2.0 * u - v + s * (2.0 * (a - b) + u + v)))
 

@@ -66,7 +66,7 @@ def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], 
     _require_first_rfes(joints[: len(links)], children)
     masses = [(i, mass) for i, link in enumerate(links) for mass in _masses_of(link)]
     acted = _force_nodes(mechanism, discretised)
-    followed = ((one.name, (discretised.attach(one.link, one.position, False).node,)) for one in parts.points)
+    followed = ((one.name, (discretised.attach(one.link, one.place, False).node,)) for one in parts.points)
     topology = Topology(
         links=tuple(link.name for link in links),
         joints=tuple(j.name for j in joints),
@@ -265,7 +265,7 @@ def _carried_points(
     carriers, carried = dict(nodes), {}
     for point in parts.points:
         (node,) = carriers[point.name]
-        position = jnp.asarray(array_of(_node_place(topology, links, node, point.position, False)), jnp.float64)
+        position = jnp.asarray(array_of(_node_place(topology, links, node, point.place, False)), jnp.float64)
         observer = BASE if point.relative_to == "base" else topology.links.index(point.relative_to)
         carried[point.name] = CarriedPoint(node, observer, position)
     return carried

@@ -181,7 +181,8 @@ def _fits(description: Any, cases: list[Arrays]) -> bool:
     except (TypeError, KeyError, AttributeError):
         return False
     shapes = {"points": (points, 3), "centre": (joints, 3), "rotation": (joints, 3, 3)}
-    of_parts = dict.fromkeys(ACTING, (len(forces), 3)) | dict.fromkeys(PATHS, (len(paths), 3))
+    counts = {**dict.fromkeys(map(str, ACTING), len(forces)), **dict.fromkeys(map(str, PATHS), len(paths))}
+    of_parts = {part: (count, 3) for part, count in counts.items()}
     return names and all(
         values.shape == (len(case["times"]), *of_parts.get(part, shapes.get(part.rpartition("_")[2], ())))
         and np.issubdtype(values.dtype, np.floating)
