@@ -23,7 +23,8 @@ _names = {
         "Automatic Bearing Case Circle Clearance Compliance Explicit ForceFunction ForceRamp ForceTable "
         "GeneralisedAlpha GivenSection InputError Joint JointForceFunction JointForceTable JointFriction JointSpring "
         "Leapfrog Link Material Mechanism Method MomentFunction "
-        "MomentRamp MomentTable PointForce PointMass PointMoment PointSpring PointSpringFunction PointSpringTable "
+        "MomentRamp MomentTable Point PointForce PointMass PointMoment PointSpring PointSpringFunction "
+        "PointSpringTable "
         "PrescribedDisplacements PrescribedFunction PrescribedRate PrescribedRunUp PrescribedSpeed "
         "PrescribedSpinUp PrescribedTable Rectangle RigidBody RungeKutta4 Study Tube load_study"
     ),

@@ -23,7 +23,7 @@ from typing import Any
 import equinox as eqx
 
 PACKAGE = "rfem_jax"
-KINDS = ("link", "joint", "section", "material", "force")  # full names begin with one
+KINDS = ("link", "joint", "section", "material", "force", "point")  # full names begin with one
 RESERVED = frozenset((*KINDS, "drive", "mechanism", "gravity", "base", "masses"))
 _NAME = re.compile(r"[^.@]+")
 

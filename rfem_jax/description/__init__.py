@@ -54,6 +54,7 @@ from rfem_jax.description.mechanism.point_forces import (
     PointSpringFunction,
     PointSpringTable,
 )
+from rfem_jax.description.mechanism.points import Point
 from rfem_jax.description.mechanism.rigid_bodies import RigidBody
 from rfem_jax.description.mechanism.sections import (
     Circle,
@@ -73,6 +74,7 @@ from rfem_jax.description.methods import (
     RungeKutta4,
 )
 from rfem_jax.description.metrics import design_metrics as design_metrics  # they register themselves
+from rfem_jax.description.metrics import path_metrics as path_metrics
 from rfem_jax.description.study_file.study import Case, Study, load_study
 
 __all__ = [
@@ -106,6 +108,7 @@ __all__ = [
     "MomentFunction",
     "MomentRamp",
     "MomentTable",
+    "Point",
     "PointForce",
     "PointMass",
     "PointMoment",

@@ -9,9 +9,10 @@ several drives act, or one on a translation, they have columns of their own, `A_
 `A_drive_rate_rad_s`, `A_drive_moment_Nm`, `G_drive_displacement_m`, `G_drive_speed_m_s`, `G_drive_force_N`, in the
 place of `drive_moment_Nm`; `angle_rad` and `rate_rad_s` are then those of the first drive, if it turns a joint.  Last
 of all the forces at points in global axes: `coil_length_m`, `coil_tension_N` of a spring, `push_force_x_N` ...,
-`twist_moment_x_Nm` ... of others; and the energy that every friction has dissipated, `bearing_dissipation_J`; of
-joints with clearance `D_penetration_start_m`, `..._end_m`, `..._axial_m` (below zero a gap) and
-`D_contact_force_start_N` ...
+`twist_moment_x_Nm` ... of others; of points whose paths are followed `P_x_m`, `P_velocity_x_m_s`,
+`P_acceleration_x_m_s2` and `P_angle_x_rad` ...; and the energy that every friction has dissipated,
+`bearing_dissipation_J`; of joints with clearance `D_penetration_start_m`, `..._end_m`, `..._axial_m` (below zero a
+gap) and `D_contact_force_start_N` ...
 """
 
 from collections.abc import Mapping
@@ -85,8 +86,9 @@ def history_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " tim
     losses = {column_name(f"{name}_dissipation", "J"): np.asarray(x) for name, x in run.friction_losses.items()}
     losses |= {column_name(f"{joint}_contact_loss", "J"): np.asarray(x) for joint, x in run.contact_losses.items()}
     return (
-        columns | _coordinate_columns(study, run) | _point_columns(study, run) | losses | contact_columns(run.contacts)
-    )
+        columns | _coordinate_columns(study, run) | _point_columns(study, run) | path_columns(run) | losses
+        | contact_columns(run.contacts)
+    )  # fmt: skip
 
 
 def _first_angle(study: Study, run: Run) -> dict[str, Float[np.ndarray, " times"]]:
@@ -112,6 +114,21 @@ def _point_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " time
         else:
             columns[column_name(f"{force.name}_length", "m")] = np.asarray(history.length)
             columns[column_name(f"{force.name}_tension", "N")] = np.asarray(history.tension)
+    return columns
+
+
+def path_columns(run: Run) -> dict[str, Float[np.ndarray, " times"]]:
+    """Place, velocity and acceleration of the points whose paths are followed, and angles of their links."""
+    columns = {}
+    for name, path in run.points.items():
+        for what, unit, values in (
+            ("", "m", path.position),
+            ("velocity_", "m/s", path.velocity),
+            ("acceleration_", "m/s^2", path.acceleration),
+            ("angle_", "rad", path.angles),
+        ):
+            for axis, one in zip("xyz", np.asarray(values).T, strict=True):
+                columns[column_name(f"{name}_{what}{axis}", unit)] = one
     return columns
 
 

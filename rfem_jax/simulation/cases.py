@@ -93,7 +93,7 @@ def run_cases(
     prepared, carry = integration.prepare_batch(whole, errors)
     try:
         carry, ends = _advance_all(whole, prepared, carry, unfinished, progress)
-        conclusions = _conclude(whole, prepared, carry, ends, asked)
+        conclusions = _conclude(whole, prepared, carry, ends, asked, _perfect(whole, asked))
         conclusions = jax.tree.map(np.asarray, conclusions)
     except KeyboardInterrupt:
         unfinished.write()
@@ -156,8 +156,13 @@ def _advance(whole, actual, carry):
 
 
 @functools.partial(Program, nameless=True)
-def _conclude(whole, prepared, carry, ends, asked):
+def _perfect(whole, asked):
+    return integration.perfect_paths(whole, asked)
+
+
+@functools.partial(Program, nameless=True)
+def _conclude(whole, prepared, carry, ends, asked, perfect):
     def one(prepared, carry, ends):
-        return integration.conclude(whole, prepared, carry, ends, asked)
+        return integration.conclude(whole, prepared, carry, ends, asked, perfect)
 
     return jax.vmap(jax.jit(one))(prepared, carry, ends)

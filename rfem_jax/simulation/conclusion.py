@@ -24,7 +24,17 @@ from rfem_jax.mechanics.statics.designs import Designed, status_of
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.equations import Numbers, Scalar
 from rfem_jax.simulation.observation import Record
-from rfem_jax.simulation.run import Checks, DriveHistory, LoadIntegrals, Loads, Metrics, Motion, Run, of_model
+from rfem_jax.simulation.run import (
+    Checks,
+    DriveHistory,
+    LoadIntegrals,
+    Loads,
+    Metrics,
+    Motion,
+    PointPath,
+    Run,
+    of_model,
+)
 from rfem_jax.simulation.stepping import Carry
 
 
@@ -125,6 +135,7 @@ def _named_results(model: Model, conclusion: Conclusion) -> Run:
         contacts=record.contacts,
         contact_losses=_clearance_histories(model, record.contact_losses),
         contact_changes=conclusion.contact_changes,
+        points={name: PointPath.of(one) for name, one in record.points.items()},
         recorded=conclusion.recorded,
     )
 

@@ -25,6 +25,7 @@ from rfem_jax.compilation.program import Program
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.drives.driven_motions import each_drive
 from rfem_jax.description.drives.rotations import PrescribedRate
+from rfem_jax.mechanics.dynamics.point_paths import PointMotion
 from rfem_jax.mechanics.laws.point_laws import changing
 from rfem_jax.mechanics.model.errors import Errors, errors_of
 from rfem_jax.mechanics.model.model import Model, State, Topology
@@ -32,7 +33,7 @@ from rfem_jax.mechanics.statics.designs import Design, designed
 from rfem_jax.simulation import integration
 from rfem_jax.simulation.conclusion import Conclusion, run_of, with_status
 from rfem_jax.simulation.driving import Drive, drive_of_design, require_driven
-from rfem_jax.simulation.records import require_records
+from rfem_jax.simulation.records import PerfectPath, asks_perfect_path, require_records
 from rfem_jax.simulation.run import Run
 from rfem_jax.simulation.specification import Simulation, simulation_of_call
 from rfem_jax.simulation.stepping import Integration
@@ -46,7 +47,8 @@ class Cycle(eqx.Module):
 
     run: one revolution of it, whose metrics are without a start-up; start: its state; residual: largest change over the
     revolution of the links' deflections and of their rates, each relative to the largest of its kind; revolutions that
-    were simulated; converged: whether the residual is within the tolerance.
+    were simulated; converged: whether the residual is within the tolerance; perfect: paths of the points in the cycle
+    without errors, if a record asks for them.
     """
 
     run: Run
@@ -54,6 +56,7 @@ class Cycle(eqx.Module):
     residual: float
     revolutions: int
     converged: bool
+    perfect: dict[str, PerfectPath] = eqx.field(default_factory=dict)
 
 
 def steady_cycle(
@@ -83,11 +86,12 @@ def steady_cycle(
     made = designed(model, design, errors_of(model, errors))
     model, errors = made.model, made.errors
     asked, revolution = require_records(model, record), Integration(model, drive, grid, method, steps)
-    state, conclusion = _revolution(revolution, errors, None, asked)
+    perfect = _perfect_paths(simulation, tolerance, most) if asks_perfect_path(asked) else {}
+    state, conclusion = _revolution(revolution, errors, None, asked, perfect)
     start, pairs = state, []
     residual, done = np.inf, 1
     while done < most:
-        state, conclusion = _revolution(revolution, errors, start, asked)
+        state, conclusion = _revolution(revolution, errors, start, asked, perfect)
         done += 1
         before = _numbers(start)
         after = _numbers(_turned_back(model.topology, start, state))
@@ -96,9 +100,18 @@ def steady_cycle(
             break
         pairs = [*pairs, (before, after)][-MEMORY:]
         start = _state(start, _mixed(pairs))
-    return Cycle(
-        with_status(run_of(model, conclusion), made), start, float(residual), done, bool(residual <= tolerance)
-    )
+    run = with_status(run_of(model, conclusion), made)
+    return Cycle(run, start, float(residual), done, bool(residual <= tolerance), perfect)
+
+
+def _perfect_paths(simulation: Simulation, tolerance: float, most: int) -> dict[str, PerfectPath]:
+    """Paths of the points in the cycle of the mechanism without errors."""
+    run = steady_cycle(simulation, tolerance=tolerance, most=most).run
+    return {
+        name: PerfectPath(PointMotion(*(getattr(path, part) for part in PointMotion._fields)), run.motion.angle,
+                          run.motion.rate)
+        for name, path in run.points.items()
+    }  # fmt: skip
 
 
 def cycle_run(
@@ -123,16 +136,22 @@ def cycle_run(
     grid, steps = integration.grid_for(drive, period, method, simulation.save_every, model)
     made = designed(model, design, errors_of(model, errors))
     asked = require_records(model, record)
-    conclusion = _periodic(Integration(made.model, drive, grid, method, steps), made.errors, cycle.start, asked)
+    if asks_perfect_path(asked) and not cycle.perfect:
+        raise InputError(
+            "Argument `record` of `cycle_run` asks for paths of the perfect mechanism, which the cycle does not have; "
+            "give `steady_cycle` the same `record`."
+        )
+    revolution = Integration(made.model, drive, grid, method, steps)
+    conclusion = _periodic(revolution, made.errors, cycle.start, asked, cycle.perfect)
     return with_status(run_of(made.model, conclusion), made)
 
 
 @partial(Program, nameless=True)
-def _periodic(revolution: Integration, errors, start: State, asked) -> Conclusion:
+def _periodic(revolution: Integration, errors, start: State, asked, perfect) -> Conclusion:
     numbers, unravel = ravel_pytree(jax.lax.stop_gradient(start))
 
     def end_of(numbers, model, errors):
-        state = _revolution(replace(revolution, model=model), errors, unravel(numbers), asked)[0]
+        state = _revolution(replace(revolution, model=model), errors, unravel(numbers), asked, perfect)[0]
         return ravel_pytree(state)[0]
 
     model = revolution.model
@@ -142,7 +161,7 @@ def _periodic(revolution: Integration, errors, start: State, asked) -> Conclusio
     end = end_of(numbers, model, errors)
     # Where a revolution changes nothing, as of the driven angle, the start stays: the solution of least norm.
     change = jnp.linalg.pinv(kept, rtol=RANK) @ (end - jax.lax.stop_gradient(end))
-    return _revolution(revolution, errors, unravel(numbers + change), asked)[1]
+    return _revolution(revolution, errors, unravel(numbers + change), asked, perfect)[1]
 
 
 def _with_period(model: Model, drive: PrescribedRate, design: Design | None) -> tuple[PrescribedRate, float]:
@@ -194,10 +213,10 @@ def require_constant_rate(model: Model, drive: Drive) -> PrescribedRate:
 
 
 @partial(Program, nameless=True)
-def _revolution(revolution: Integration, errors, start: State | None, asked) -> tuple[State, Conclusion]:
+def _revolution(revolution: Integration, errors, start: State | None, asked, perfect) -> tuple[State, Conclusion]:
     prepared = integration.prepare(revolution.model, errors, revolution.drive, start)
     carry, ends = integration.advance(revolution, prepared.actual, integration.start_carry(revolution, prepared))
-    conclusion = integration.conclude(revolution, prepared, carry, ends, asked)
+    conclusion = integration.conclude(revolution, prepared, carry, ends, asked, perfect)
     return State(carry.trajectory.position, carry.trajectory.velocity), conclusion
 
 

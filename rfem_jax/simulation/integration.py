@@ -45,7 +45,7 @@ from rfem_jax.simulation.conclusion import Conclusion, ball_angles, load_summary
 from rfem_jax.simulation.driving import active_drives, all_jumps, all_step_ends
 from rfem_jax.simulation.equations import Conditions, Trajectory
 from rfem_jax.simulation.observation import Record, energy_at, observe
-from rfem_jax.simulation.records import finished_records, instant_records
+from rfem_jax.simulation.records import PerfectPath, asks_perfect_path, finished_records, instant_records
 from rfem_jax.simulation.run import Energy
 from rfem_jax.simulation.solvers.implicit_step import Memory
 from rfem_jax.simulation.stepping import Carry, Integration, entries_of, last_step, repeated
@@ -87,6 +87,29 @@ def grid_for(
     return divide_time(
         duration, method.step, save_every, all_jumps(drive, model), method.implicit, from_start, rows, per_row
     )
+
+
+def perfect_paths(
+    integration: Integration,
+    record: Sequence[str],
+    start: State | None = None,
+    adjoint: diffrax.AbstractAdjoint | None = None,
+) -> dict[str, PerfectPath]:
+    """Motions of the points of the mechanism without errors at the saved times, if any record asks for them.
+
+    Nothing of it depends on errors: in a batch of errors it is one simulation.
+    """
+    if not asks_perfect_path(record):
+        return {}
+    prepared = prepare(integration.model, assembly_errors(integration.model), integration.drive, start)
+    _, ends = advance(integration, prepared.actual, start_carry(integration, prepared), adjoint)
+    observed = observe_ends(integration, prepared.actual, ends)
+    saved = jax.tree.map(lambda x: rows(x, integration.grid.saved), observed)
+    topology = integration.model.topology
+    drive = 2 * (jnp.zeros(saved.joints.shape[0]),)
+    if topology.drives:
+        drive = saved.joints[:, topology.driven_position], saved.joint_rates[:, topology.driven_coordinate]
+    return {name: PerfectPath(path, *drive) for name, path in saved.points.items()}
 
 
 @partial(kernel, name="assembly", in_parts=True)
@@ -222,9 +245,15 @@ def observe_ends(
 
 @partial(kernel, name="conclusion", in_parts=True)
 def conclude(
-    integration: Integration, prepared: Prepared, carry: Carry, ends: IntervalEnd, asked: Sequence[str] = ()
+    integration: Integration,
+    prepared: Prepared,
+    carry: Carry,
+    ends: IntervalEnd,
+    asked: Sequence[str] = (),
+    perfect: dict[str, PerfectPath] | None = None,
 ) -> Conclusion:
-    """Loads, metrics, balances and status from the last carry and all ends of intervals; `asked`: as `observe_ends`."""
+    """Loads, metrics, balances and status from the last carry and all ends of intervals; `asked`: as `observe_ends`;
+    `perfect`: motions of the points of the perfect mechanism, if asked for."""
     model, grid = integration.model, integration.grid
     record = observe_ends(integration, prepared.actual, ends, asked)
     # The maxima are taken at the starts of steps: the last instant is still missing.
@@ -246,6 +275,6 @@ def conclude(
         ball_angles=ball_angles(model, record),
         centre_lines=link_lines(model, prepared.actual, prepared.state.position),
         nominal_lines=link_lines(model, apply_errors(model, assembly_errors(model)), model.start_coordinates()),
-        recorded=finished_records(model, prepared.actual, record.asked, record.friction_losses, asked),
+        recorded=finished_records(model, prepared.actual, record.asked, record.friction_losses, asked, perfect or {}),
         positions=positions,
     )

@@ -6,8 +6,8 @@ Place in the pipeline: `Run.to_xarray`, `Run.to_pandas` and `Run._repr_html_`, a
 Dimensions: `case` (of a batch), `time`, `joint`, `component` (x, y, z of the joint's frame H, of global axes for link
 ends and forces at points); `pin` (of joints with clearance), its `contact` (start, end, axial), `pin_end` and
 `direction` (x, z of the bush); `rotation` and `translation` for driven coordinates, `angle` and `displacement` for the
-coordinates of the tree joints, `link`, `point`, `cut_joint`, `friction`, `force_at_points`. What a mechanism does not
-have is left out.
+coordinates of the tree joints, `link`, `point`, `cut_joint`, `friction`, `force_at_points`, `followed_point`. What a
+mechanism does not have is left out.
 """
 
 from collections.abc import Mapping, Sequence
@@ -82,6 +82,7 @@ def run_dataset(run: Run, cases: Sequence[str] | None = None) -> Dataset:
     _add_motion(variables, coordinates, run, before)
     _add_energies(variables, coordinates, run, before)
     _add_points(variables, coordinates, run, before)
+    _add_paths(variables, coordinates, run, before)
     _add_contacts(variables, coordinates, run, before)
     _add_lines(variables, coordinates, run, before)
     for name, (unit, meaning) in CHECKS.items():
@@ -194,6 +195,23 @@ def _add_points(variables, coordinates, run, before) -> None:
         values = _stack([getattr(one, field) for one in run.forces.values()], len(before) + 1)
         dims = (*before, "time", "force_at_points", "component")
         variables[f"point_{field}"] = Labelled(dims, values, unit, f"{meaning}, global axes")
+
+
+def _add_paths(variables, coordinates, run, before) -> None:
+    """Paths of points and angles of their links, seen from what they are relative to."""
+    if not run.points:
+        return
+    coordinates["followed_point"] = list(run.points)
+    fields = (
+        ("position", "m", "place of a point"),
+        ("velocity", "m/s", "velocity of a point"),
+        ("acceleration", "m/s^2", "acceleration of a point"),
+        ("angles", "rad", "angles of the link at a point, of R_y R_z R_x"),
+    )
+    for field, unit, meaning in fields:
+        values = _stack([getattr(one, field) for one in run.points.values()], len(before) + 1)
+        dims = (*before, "time", "followed_point", "component")
+        variables[f"path_{field}"] = Labelled(dims, values, unit, f"{meaning}, in the axes of what it is relative to")
 
 
 def _add_contacts(variables, coordinates, run, before) -> None:

@@ -14,6 +14,7 @@ from rfem_jax.mechanics.algebra import vectors
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.dynamics.centre_lines import link_ends
 from rfem_jax.mechanics.dynamics.dynamics import Accelerations
+from rfem_jax.mechanics.dynamics.point_paths import PointMotion, point_motions
 from rfem_jax.mechanics.elements.linear_validity import LinearRange, linear_range
 from rfem_jax.mechanics.forces.bush_contacts import ContactState, contact_states
 from rfem_jax.mechanics.forces.element_loads import FrameLoads
@@ -72,7 +73,7 @@ class Record(NamedTuple):
     `linear_validity.linear_range`; square_integrals: of the resultant force
     and moment [N^2 s, (N m)^2 s]; squares: as of `equations.squared_loads`; friction_losses, contact_losses
     [J]: energy that every friction, every clearance has dissipated, None without any; asked: by the names of `records`;
-    contacts: of the joints with clearance.
+    contacts: of the joints with clearance; points: motions of the points whose paths are followed.
     """
 
     joints: Float[Array, " numbers"]
@@ -99,6 +100,7 @@ class Record(NamedTuple):
     contact_losses: Float[Array, " clearances"] | None
     asked: dict[str, Any]
     contacts: dict[str, ContactState]
+    points: dict[str, PointMotion]
 
 
 def solved_instant(actual: ModelWithErrors, result: Accelerations, drive: DriveInput, scale: vectors.Scalar) -> Instant:
@@ -200,6 +202,7 @@ def observe(
             contact_losses=integrals.contacts,
             asked={},
             contacts=contact_states(actual, now),
+            points=point_motions(actual, now, instant.angular, instant.linear),
         )
 
 

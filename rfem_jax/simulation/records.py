@@ -10,10 +10,12 @@ Place in the pipeline: section_loads, observation -> **records** -> integration;
     JOINT.friction_loss     energy (times,) [J] that friction in a joint has dissipated
     JOINT.bearing           its capacities, a `BearingCapacity`
     masses                  {link: mass with point masses [kg]}
+    POINT.perfect_path      `PerfectPath` of the point on the perfect mechanism under the same drive, with the values of
+                            the design: another simulation, which a batch shares
 """
 
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -25,13 +27,24 @@ from rfem_jax.description.basics.errors import InputError, suggestion
 from rfem_jax.description.metrics.subjects import divided
 from rfem_jax.mechanics.algebra.vectors import dot
 from rfem_jax.mechanics.dynamics.loads import velocities
+from rfem_jax.mechanics.dynamics.point_paths import PointMotion
 from rfem_jax.mechanics.dynamics.section_loads import loads_of_sections, stress_squares
 from rfem_jax.mechanics.model.model import BASE, Model, State, Topology, rfe_fractions
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
-from rfem_jax.simulation.equations import safe_sqrt
+from rfem_jax.simulation.equations import Numbers, safe_sqrt
 from rfem_jax.simulation.observation import Instant
 
 OF_LINKS, OF_JOINTS, OF_RUNS = ("sections", "deflection"), ("turning", "friction_loss", "bearing"), ("masses",)
+PERFECT_PATH = "perfect_path"  # of points
+
+
+class PerfectPath(NamedTuple):
+    """The motion of a point of the perfect mechanism at the saved times; position [rad, m] and rate of its first driven
+    coordinate, zero without a drive."""
+
+    path: PointMotion
+    drive_position: Float[Numbers, " times"]
+    drive_rate: Float[Numbers, " times"]
 
 
 class SectionHistory(eqx.Module):
@@ -73,18 +86,22 @@ def _require_record(model: Model, name: str) -> None:
         **dict.fromkeys(OF_LINKS, model.link_names),
         **dict.fromkeys(OF_JOINTS, model.joint_names),
         "bearing": tuple(model.bearings or {}),
+        PERFECT_PATH: tuple(model.points or {}),
         "friction_loss": tuple({model.topology.joints[law.joint] for law in (model.friction or {}).values()}),
     }
     if not owner and name in OF_RUNS:
         return
     if not owner or kind not in known:
-        every = [f"{(known[one] or ('A',))[0]}.{one}" for one in known] + [*OF_RUNS]
+        every = [f"{(known[one] or ('A',))[0]}.{one}" for one in known if known[one] or one != PERFECT_PATH]
+        every += [*OF_RUNS]
         raise InputError(
             f"Argument `record` must name records, but {name!r} is not a record; {suggestion(name, every)}"
         )
     of = divided(owner)[0] if kind == "deflection" else owner
     if of not in known[kind]:
-        special = {"bearing": "joints with a `bearing`", "friction_loss": "joints with friction"}
+        special = {
+            "bearing": "joints with a `bearing`", "friction_loss": "joints with friction", PERFECT_PATH: "points",
+        }  # fmt: skip
         whose = special.get(kind, "joints" if kind in OF_JOINTS else "links")
         raise InputError(
             f"Argument `record` must be of {whose} of the model, but {name!r} is not; {suggestion(of, known[kind])}"
@@ -113,8 +130,9 @@ def finished_records(
     saved: dict[str, Any],
     friction_losses: Float[Array, "times frictions"] | None,
     names: Sequence[str],
+    perfect: dict[str, PerfectPath],
 ) -> dict[str, Any]:
-    """The records of a run, of those of all saved times and of constants."""
+    """The records of a run, of those of all saved times, of constants, and of the points of the perfect mechanism."""
     records: dict[str, Any] = {}
     for name in names:
         owner, _, kind = name.rpartition(".")
@@ -131,9 +149,16 @@ def finished_records(
             records[name] = (model.bearings or {})[owner]
         elif name == "masses":
             records[name] = masses(actual)
+        elif kind == PERFECT_PATH:
+            records[name] = perfect[owner]
         else:
             records[name] = saved[name]
     return records
+
+
+def asks_perfect_path(names: Iterable[str]) -> bool:
+    """Whether any record is of the perfect mechanism."""
+    return any(name.endswith(f".{PERFECT_PATH}") for name in names)
 
 
 def masses(actual: ModelWithErrors) -> dict[str, Float[Array, ""]]:

@@ -16,7 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from rfem_jax.description.metrics.path_metrics import angles_of_rotation
 from rfem_jax.labelled_data import DataFrame, Dataset
+from rfem_jax.mechanics.dynamics.point_paths import PointMotion
 from rfem_jax.mechanics.forces.bush_contacts import ContactState
 from rfem_jax.mechanics.model.errors import AssemblyErrors
 from rfem_jax.mechanics.model.model import Coordinates, Model
@@ -230,6 +232,30 @@ class PointHistory(eqx.Module):
         return -jnp.sum(self.force * apart, axis=-1) / jnp.linalg.norm(apart, axis=-1)
 
 
+class PointPath(eqx.Module):
+    """The path of a point at the saved times: position [m], velocity [m/s], acceleration [m/s^2]; rotation of its link
+    there and angular velocity [rad/s]; seen from the link that it is relative to, in that link's axes, or else in
+    global axes."""
+
+    position: Float[Numbers, "*times 3"]
+    velocity: Float[Numbers, "*times 3"]
+    acceleration: Float[Numbers, "*times 3"]
+    rotation: Float[Numbers, "*times 3 3"]
+    angular_velocity: Float[Numbers, "*times 3"]
+
+    @classmethod
+    def of(cls, motion: PointMotion) -> "PointPath":
+        """The path of motions at all times."""
+        return cls(*motion)
+
+    @property
+    def angles(self) -> Float[Numbers, "*times 3"]:
+        """Angles [rad] of the link about x, y and z, with rotation = R_y R_z R_x: about y is the turn within the plane
+        of a planar mechanism, which may exceed a revolution; the other two are small where the link stays near that
+        plane (theory (8.20))."""
+        return angles_of_rotation(jnp.asarray(self.rotation))
+
+
 class Run(eqx.Module):
     """One simulated case, or a batch of them with a leading axis.
 
@@ -244,6 +270,8 @@ class Run(eqx.Module):
     friction_losses: energy (times,) [J] that every friction has dissipated, by its name. contacts: `ContactState` by
     the names of the joints with clearance; contact_losses: energy (times,) [J] that their contacts have dissipated, by
     the joints; contact_changes: how often any of them has closed or opened, None where steps did not follow them.
+
+    points: `PointPath` of every point of the description, by its name.
 
     recorded: what `simulate` was asked to record, by the names of `simulation.records`; model, errors: what was
     simulated.
@@ -263,6 +291,7 @@ class Run(eqx.Module):
     contacts: dict[str, ContactState] = eqx.field(default_factory=dict)
     contact_losses: dict[str, Float[Numbers, " times"]] = eqx.field(default_factory=dict)
     contact_changes: Float[Numbers, ""] | None = None
+    points: dict[str, "PointPath"] = eqx.field(default_factory=dict)
     recorded: dict[str, Any] = eqx.field(default_factory=dict)
     model: Model | None = None
     errors: AssemblyErrors | None = None

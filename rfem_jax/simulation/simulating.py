@@ -9,6 +9,7 @@ Place in the pipeline: Simulation, errors -> **simulate** -> Run.
     run_of        results by the names of joints, links and drives
 """
 
+import dataclasses
 from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Any
@@ -18,12 +19,12 @@ import diffrax
 from rfem_jax.compilation.program import Program
 from rfem_jax.mechanics.model.errors import AssemblyErrors, Errors, errors_of
 from rfem_jax.mechanics.model.model import Model, State
-from rfem_jax.mechanics.statics.designs import designed
+from rfem_jax.mechanics.statics.designs import Design, designed
 from rfem_jax.simulation.conclusion import Conclusion, run_of_design
 from rfem_jax.simulation.driving import drive_of_design
-from rfem_jax.simulation.integration import advance, conclude, grid_for, prepare, start_carry
+from rfem_jax.simulation.integration import advance, conclude, grid_for, perfect_paths, prepare, start_carry
 from rfem_jax.simulation.locking import with_limit
-from rfem_jax.simulation.records import require_records
+from rfem_jax.simulation.records import asks_perfect_path, require_records
 from rfem_jax.simulation.run import Run
 from rfem_jax.simulation.specification import Simulation, simulation_of_call
 from rfem_jax.simulation.stepping import Integration
@@ -55,10 +56,12 @@ def simulate(
     model, method, design = simulation.model, simulation.chosen, simulation.design
     grid, steps = grid_for(simulation.drive, simulation.require_duration(), method, simulation.save_every, model)
     drive = drive_of_design(model, simulation.drive, design)
-    made = designed(model, design, errors_of(model, errors))
+    errors = errors_of(model, errors)
+    made = designed(model, design, errors)
     integration = Integration.of_any_step(made.model, drive, grid, steps, method, (made, simulation.start))
     asked = require_records(made.model, record)
-    run = run_of_design(made, simulated(integration, made.errors, simulation.start, adjoint, asked))
+    perfect = perfect_model(model, design, errors, asked)
+    run = run_of_design(made, simulated(integration, made.errors, simulation.start, adjoint, asked, perfect))
     return with_limit(run, model, drive)
 
 
@@ -69,8 +72,19 @@ def simulated(
     start: State | None,
     adjoint: diffrax.AbstractAdjoint | None,
     asked: Sequence[str],
+    perfect: Model | None = None,
 ) -> Conclusion:
-    """The conclusion of a simulation; `asked`: names as in `simulation.records`."""
+    """The conclusion of a simulation; `asked`: names as in `simulation.records`; `perfect`: as of `perfect_model`."""
+    undisturbed = integration if perfect is None else dataclasses.replace(integration, model=perfect)
+    paths = perfect_paths(undisturbed, asked, start, adjoint)
     prepared = prepare(integration.model, errors, integration.drive, start)
     carry, ends = advance(integration, prepared.actual, start_carry(integration, prepared), adjoint)
-    return conclude(integration, prepared, carry, ends, asked)
+    return conclude(integration, prepared, carry, ends, asked, paths)
+
+
+def perfect_model(model: Model, design: Design | None, errors: AssemblyErrors, asked: Sequence[str]) -> Model | None:
+    """The model from which errors of paths are measured, if any record asks for these and it is not the one that is
+    simulated: without deviations of parameters, which that has."""
+    if errors.parameters is None or not asks_perfect_path(asked):
+        return None
+    return designed(model, design).model

@@ -21,6 +21,12 @@ from .test_point_forces import FORCES as POINT_FORCES
 from .test_study_files import FULL
 from .test_tasks import TASKS
 
+POINTS = """
+[[mechanism.points]]
+name = "P"
+link = "one"
+position = 0.01
+"""
 DRIVES = """
 [drive]
 joint = "A"
@@ -128,7 +134,8 @@ def asked(tmp_path, monkeypatch):
     for drive in [full[start:end], *(f"[drive]{part}" for part in DRIVES.split("[drive]")[1:])]:
         path = tmp_path / "study.toml"
         path.write_text(
-            full[:start] + FORCES + POINT_FORCES + SPRINGS + drive + full[end:] + ALL_TASKS + OPTIMISE, encoding="utf-8"
+            full[:start] + FORCES + POINT_FORCES + SPRINGS + POINTS + drive + full[end:] + ALL_TASKS + OPTIMISE,
+            encoding="utf-8",
         )
         load_study(path)
         full = full.replace('section = "own"\n', "body = {mass = 1, centre = [0, 0, 0], inertia = [1, 1, 1]}\n")

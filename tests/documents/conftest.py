@@ -34,8 +34,9 @@ def in_workplace(workplace, monkeypatch):
 
 
 def merged(study, fragment):
-    """A study's content with the tables of a fragment in the place of its own."""
-    return {**study, **fragment}
+    """A study's content with the tables of a fragment in the place of its own, within the mechanism, too."""
+    mechanism = {**study["mechanism"], **fragment.get("mechanism", {})}
+    return {**study, **fragment, "mechanism": mechanism}
 
 
 @pytest.fixture

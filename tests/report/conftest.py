@@ -169,6 +169,7 @@ def synthetic_run(size, status=0):
         friction_losses={},
         contacts={},
         contact_losses={},
+        points={},
         contact_changes=None,
         model=None,
     )

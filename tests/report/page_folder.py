@@ -37,6 +37,7 @@ def animation(study, runs):
             {"name": one.name, "kind": one.kind, "parent": one.parent, "child": one.child, "cut": one.cut}
             for one in (study.mechanism.joint(name) for name in topology.joints)
         ],
+        "paths": [{"name": "P", "link": "coupler"}],
         "forces": [
             {"name": "strut", "kind": "spring", "links": ["base", "coupler"]},
             {"name": "push", "kind": "force", "links": ["rocker"]},
@@ -64,6 +65,9 @@ def _arrays(model, times, bend):
     force = 100.0 * times[:, None] * np.array([0.0, 0.0, -1.0])
     parts = (top + 0.0 * pulled, 0.0 * pulled), (pulled, pushed), (force, force)
     arrays |= {name: np.stack(part, axis=1) for name, part in zip(ACTING, parts, strict=True)}
+    # The point in the middle of the coupler.
+    middle = slice(ends[1] - 1, ends[1])
+    arrays |= {"path_place": arrays["points"][:, middle], "nominal_path_place": arrays["nominal_points"][:, middle]}
     names = ("seat_rotation", "seat_centre", "bore_rotation")
     return arrays | {part: getattr(nominal, part) for part in names}
 

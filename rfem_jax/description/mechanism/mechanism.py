@@ -29,9 +29,10 @@ from rfem_jax.description.mechanism.forces import Force, JointForce, JointFricti
 from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.links import Link
 from rfem_jax.description.mechanism.point_forces import PointLoad
+from rfem_jax.description.mechanism.points import Point
 from rfem_jax.description.tolerances.error_catalogue import LINK_ERRORS, error_unit
 
-Part = TypeVar("Part", Link, Joint, Force)
+Part = TypeVar("Part", Link, Joint, Force, Point)
 
 ELEMENTS = ("linear", "geometrically_exact")
 STARTS = AS_GIVEN, EQUILIBRIUM = "as_given", "equilibrium"
@@ -62,6 +63,7 @@ class Mechanism(ChecksItself):
             objects at them.
         reaction_length: length [m], > 0, over which moments count beside forces in the sum of squares of
             "minimum_norm"; None: that of the longest link.
+        points: Point objects, whose paths runs follow.
     Raises:
         InputError: names clash or are unknown, a link is not connected, a loop is not cut, a
             joint lies off a flexible link, or a force does not fit its joint or its links.
@@ -76,6 +78,7 @@ class Mechanism(ChecksItself):
     forces: tuple[Force, ...] = ()
     start: str = AS_GIVEN
     reaction_length: float | None = None
+    points: tuple[Point, ...] = ()
 
     def _repr_html_(self) -> str:
         return mechanism_html(self)
@@ -91,8 +94,10 @@ class Mechanism(ChecksItself):
         checks.convert("elements", require_choice, ELEMENTS, "elements")
         checks.convert("start", require_choice, STARTS, "start")
         checks.convert("forces", _unique, Force, "forces")
+        checks.convert("points", _unique, Point, "points")
         checks.relation(("links", "joints"), self._check_structure)
         checks.relation(("links", "joints", "forces"), self._resolve_forces)
+        checks.relation(("links", "joints", "forces", "points"), self._check_points)
         checks.relation(("joints", "start"), self._check_rates)
 
     def _check_reaction_length(self) -> None:
@@ -113,6 +118,20 @@ class Mechanism(ChecksItself):
             self._check_positions(joint, problems)
         with problems.noted():
             self._check_driven_joint()
+        problems.refuse()
+
+    def _check_points(self) -> None:
+        links, problems = {link.name: link for link in self.links}, Problems()
+        owners = dict.fromkeys(links, "link") | {joint.name: "joint" for joint in self.joints}
+        owners |= {force.name: "force" for force in self.forces}
+        for point in self.points:
+            with problems.noted():
+                if point.name in owners:
+                    raise InputError(
+                        f"Argument `points` must have names of their own, but there is a {owners[point.name]} "
+                        f"`{point.name}`, too, and `{point.name}.x` could be of either; rename the point."
+                    )
+                point.require_links(links)
         problems.refuse()
 
     def _check_rates(self) -> None:

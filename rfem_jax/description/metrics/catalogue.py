@@ -4,10 +4,12 @@ Place in the pipeline: `tasks.settings` checks the names in a study file against
 simulated; `tolerancing.metrics` makes metrics of a run of its entries.
 
 A metric of a joint is named "JOINT.KIND" ("A.rms_force"), a metric of a link "LINK.KIND" ("coupler.peak_stress"; of a
-point of it "LINK@FRACTION.KIND", as "coupler@0.5.peak_deflection" in its middle), a metric of the whole run by its kind
-("end_energy"). An entry holds everything about its kind, so that a new metric is one call of `register_metric`, here,
-in `design_metrics` or in a program of the user. The functions read attributes of a run (`rfem_jax.simulation.Run`);
-nothing is imported from there. What a run records for a metric alone is said by `records`: no other run has it.
+point of it "LINK@FRACTION.KIND", as "coupler@0.5.peak_deflection" in its middle), a metric of the path of a point
+"POINT.KIND" ("P.max_deviation"; of an instant "POINT@INSTANT.KIND", as "P@90deg.x"), a metric of the whole run by its
+kind ("end_energy"). An entry holds everything about its kind, so that a new metric is one call of `register_metric`,
+here, in `design_metrics` or in a program of the user. The functions read attributes of a run
+(`rfem_jax.simulation.Run`); nothing is imported from there. What a run records for a metric alone is said by `records`:
+no other run has it.
 
 A joint of the tree with one angle, or one displacement, has its value at the end and its range over the saved times,
 the swing of a rocker or the stroke of a slider.
@@ -18,7 +20,7 @@ Mean squares are smooth. RMS values are their square roots and have a kink where
 (theory (8.7)).
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,9 +38,9 @@ Refusal = Callable[[Any], str | None]
 
 @dataclass(frozen=True)
 class MetricKind:
-    """An entry of the catalogue, with the arguments of `register_metric`; `of` is "run", "joint" or "link"; `refusal`:
-    of a `JointSubject`, `LinkSubject` or `MetricSubjects` why it has no such metric and what to do, None if it has;
-    `equation`: its number in the theory."""
+    """An entry of the catalogue, with the arguments of `register_metric`; `of` is "run", "joint", "link" or "point";
+    `refusal`: of a `JointSubject`, `LinkSubject` or `MetricSubjects` why it has no such metric and what to do, None if
+    it has; `equation`: its number in the theory."""
 
     name: str
     unit: str
@@ -56,15 +58,25 @@ class MetricKind:
     kinked: bool = False
     equation: str = ""
 
+    def labelled(self, owners: Mapping[str, str]) -> str:
+        """The label with {kind of owner: its name} put in."""
+        label = self.label
+        for of, owner in owners.items():
+            label = label.replace(f"{{{of}}}", owner)
+        return label
+
     def recorded_for(self, owner: str) -> tuple[str, ...]:
-        """What a run has to record for this metric of a joint, a link or a point of a link."""
+        """What a run has to record for this metric of a joint, a link or a point."""
+        if self.of == "point":  # what is recorded is of all instants
+            owner = owner.partition("@")[0]
         return tuple(name.replace("{owner}", owner) for name in self.records)
 
 
 JOINT_METRICS: dict[str, MetricKind] = {}
 LINK_METRICS: dict[str, MetricKind] = {}
+POINT_METRICS: dict[str, MetricKind] = {}
 RUN_METRICS: dict[str, MetricKind] = {}
-_CATALOGUES = {"joint": JOINT_METRICS, "link": LINK_METRICS, "run": RUN_METRICS}
+CATALOGUES = {"joint": JOINT_METRICS, "link": LINK_METRICS, "point": POINT_METRICS, "run": RUN_METRICS}
 
 
 def register_metric(
@@ -123,7 +135,7 @@ def register_metric(
         _require_new(name)
     of = "joint" if of_joints else "link" if of_links else "run"
     label = label or name.replace("_", " ") + ("" if of == "run" else f" in {{{of}}}")
-    for catalogue in _CATALOGUES.values():
+    for catalogue in CATALOGUES.values():
         catalogue.pop(name, None)
     about = had_by, tuple(records), description, None, at_start, note, kinked, equation
     add_metric(MetricKind(name, unit, function, label, even, of, nonnegative, *about))
@@ -146,7 +158,7 @@ def _require_fitting(name: str, function: Callable[..., Any], both: bool) -> Non
 
 def _require_new(name: str) -> None:
     """Raise InputError for a name that is taken."""
-    if any(name in catalogue for catalogue in _CATALOGUES.values()):
+    if any(name in catalogue for catalogue in CATALOGUES.values()):
         raise InputError(
             f"Argument `name` of a metric must be a new one, but `{name}` is registered already; "
             "choose another name, or pass replace=True."
@@ -155,7 +167,7 @@ def _require_new(name: str) -> None:
 
 def add_metric(kind: MetricKind) -> None:
     """Put an entry into the catalogue; one of the whole run may have the name of one of joints or links."""
-    _CATALOGUES[kind.of][kind.name] = kind
+    CATALOGUES[kind.of][kind.name] = kind
 
 
 def kind_and_owner(name: str) -> tuple[MetricKind | None, str]:
@@ -163,7 +175,7 @@ def kind_and_owner(name: str) -> tuple[MetricKind | None, str]:
     owner, _, kind = name.rpartition(".")
     if not owner:
         return RUN_METRICS.get(name), ""
-    return JOINT_METRICS.get(kind) or LINK_METRICS.get(kind), owner
+    return JOINT_METRICS.get(kind) or LINK_METRICS.get(kind) or POINT_METRICS.get(kind), owner
 
 
 def only_at_start(names: Iterable[str]) -> bool:
@@ -199,8 +211,8 @@ def kinked(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def known_names(owner: str) -> list[str]:
-    """Names of all metrics, those of joints and links with an owner as "A" or "*"."""
-    return [f"{owner}.{kind}" for kind in (*JOINT_METRICS, *LINK_METRICS)] + list(RUN_METRICS)
+    """Names of all metrics, those of joints, links and points with an owner as "A" or "*"."""
+    return [f"{owner}.{kind}" for kind in (*JOINT_METRICS, *LINK_METRICS, *POINT_METRICS)] + list(RUN_METRICS)
 
 
 def suggested_metric(name: str, owner: str) -> str:

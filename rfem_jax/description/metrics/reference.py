@@ -8,13 +8,14 @@ from dataclasses import dataclass
 
 from rfem_jax.description.basics.joint_kinds import DEFAULT, KINDS
 from rfem_jax.description.mechanism.bearings import CAPACITIES
-from rfem_jax.description.metrics.catalogue import JOINT_METRICS, LINK_METRICS, RUN_METRICS, MetricKind
+from rfem_jax.description.metrics.catalogue import CATALOGUES, MetricKind
 from rfem_jax.description.metrics.design_metrics import STRESS_POWER as STRESS_POWER  # registers the metrics of designs
 from rfem_jax.description.metrics.subjects import JointSubject, LinkSubject, MetricSubjects, refusal_of
 
 CALLED = {
     "joint": 'of a joint, "JOINT.NAME", of all that have it "*.NAME"',
     "link": 'of a link, "LINK.NAME", of a point of it "LINK@0.5.NAME", of all links "*.NAME"',
+    "point": 'of the path of a point, "POINT.NAME", at an instant "POINT@0.3s.NAME", "POINT@90deg.NAME" of the drive',
     "run": 'of the whole run, "NAME"',
 }
 
@@ -47,16 +48,15 @@ class MetricTable:
 
 def metric_tables() -> list[MetricTable]:
     """All metrics that study files and `Problem` may name, those registered from outside the package included."""
-    catalogues = {"joint": JOINT_METRICS, "link": LINK_METRICS, "run": RUN_METRICS}
     return [
         MetricTable(f"metrics {CALLED[of]}", tuple(_row(kind) for kind in catalogue.values()))
-        for of, catalogue in catalogues.items()
+        for of, catalogue in CATALOGUES.items()
         if catalogue
     ]
 
 
 def _row(kind: MetricKind) -> MetricRow:
-    meaning = kind.description or kind.label.replace("{joint}", "the joint").replace("{link}", "the link")
+    meaning = kind.description or kind.labelled({"joint": "the joint", "link": "the link", "point": "the point"})
     return MetricRow(kind.name, kind.unit, meaning, needs_of(kind), kind.equation)
 
 
@@ -65,6 +65,8 @@ def needs_of(kind: MetricKind) -> str:
     have besides."""
     if kind.of == "link":
         return "only where the section's edge is known" if refusal_of(kind, LinkSubject(edge=False)) else ""
+    if kind.of == "point":
+        return ""
     if kind.of == "run":
         lacking = {word: MetricSubjects({"A": joint}, {}) for word, joint in _without(_joint(DEFAULT)).items()}
         needs = [word for word, one in lacking.items() if refusal_of(kind, one)]

@@ -1,16 +1,17 @@
-"""What metrics can be of: the joints, links, bearings, frictions and drives of a mechanism, described or as a model.
+"""What metrics can be of: joints, links, points, bearings and drives of a mechanism, described or as a model.
 
 Place in the pipeline: metric_catalogue -> **metric_subjects** -> tasks (of a `Mechanism`), tolerancing (of a `Model`).
 """
 
-from collections.abc import Iterable
-from typing import NamedTuple
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
 
 from rfem_jax.description.basics.errors import InputError, suggestion
 from rfem_jax.description.basics.joint_kinds import KINDS, JointKind
 from rfem_jax.description.mechanism.forces import JointFriction
 from rfem_jax.description.mechanism.mechanism import Mechanism
 from rfem_jax.description.metrics.catalogue import MetricKind, kind_and_owner, suggested_metric
+from rfem_jax.description.metrics.path_metrics import path_instant
 
 
 class JointSubject(NamedTuple):
@@ -29,11 +30,18 @@ class LinkSubject(NamedTuple):
     edge: bool
 
 
+class PointSubject(NamedTuple):
+    """A point whose path is followed: whether the mechanism has a drive, whose coordinate may name an instant."""
+
+    driven: bool
+
+
 class MetricSubjects(NamedTuple):
-    """All joints and links by their names."""
+    """All joints, links and points by their names."""
 
     joints: dict[str, JointSubject]
     links: dict[str, LinkSubject]
+    points: dict[str, PointSubject] = {}  # noqa: RUF012  # never changed
 
     @property
     def friction(self) -> bool:
@@ -63,7 +71,8 @@ def subjects_of(mechanism: Mechanism) -> MetricSubjects:
     links = {
         one.name: LinkSubject(one.section is not None and bool(one.section.edge_stresses())) for one in mechanism.links
     }
-    return MetricSubjects(joints, links)
+    points = {one.name: PointSubject(bool(driven)) for one in mechanism.points}
+    return MetricSubjects(joints, links, points)
 
 
 def divided(owner: str) -> tuple[str, float]:
@@ -102,10 +111,20 @@ def require_metric(name: str, subjects: MetricSubjects, whole: str, of: str = ""
                 f"Argument `metrics`{of} must fit the {whole}, but `{name}` does not: {refusal}; leave it out."
             )
         return (name,)
-    known = subjects.joints if kind.of == "joint" else subjects.links
+    known: Mapping[str, Any] = {"joint": subjects.joints, "link": subjects.links, "point": subjects.points}[kind.of]
     wanted, _, _ = owner.partition("@")
     if kind.of == "link":
         divided(owner)
+    if kind.of == "point" and path_instant(owner).kind == "drive" and not subjects.driven:
+        raise InputError(
+            f"Argument `metrics`{of} must name an instant of a mechanism without a drive by a time, but `{name}` names "
+            f"it by a coordinate of the drive; write for example {wanted}@0.3s."
+        )
+    if kind.of == "point" and not known:
+        raise InputError(
+            f"Argument `metrics`{of} must fit the {whole}, but `{name}` is of a point and it has none; add a table "
+            "[[mechanism.points]] with `name`, `link` and `position`, or `Point` objects."
+        )
     if wanted not in (*known, "*"):
         raise InputError(
             f"Argument `metrics`{of} must be of {kind.of}s of the {whole}, but it has no {kind.of} `{owner}` for "
@@ -119,7 +138,7 @@ def require_metric(name: str, subjects: MetricSubjects, whole: str, of: str = ""
     return (name,)
 
 
-def refusal_of(kind: MetricKind, subject: JointSubject | LinkSubject | MetricSubjects) -> str | None:
+def refusal_of(kind: MetricKind, subject: JointSubject | LinkSubject | PointSubject | MetricSubjects) -> str | None:
     """Why a joint, a link or a mechanism has no such metric, None if it has."""
     if isinstance(subject, JointSubject) and kind.had_by is not None and not kind.had_by(subject.kind, subject.cut):
         return "a cut joint has no coordinate, and a joint of another kind has other coordinates"
@@ -127,7 +146,11 @@ def refusal_of(kind: MetricKind, subject: JointSubject | LinkSubject | MetricSub
 
 
 def _not_had(
-    name: str, kind: MetricKind, subject: JointSubject | LinkSubject | None, having: Iterable[str], of: str
+    name: str,
+    kind: MetricKind,
+    subject: JointSubject | LinkSubject | PointSubject | None,
+    having: Iterable[str],
+    of: str,
 ) -> str:
     """The sentence that says why a joint or link has no such metric, and which have it."""
     reason = subject and refusal_of(kind, subject)

@@ -16,6 +16,7 @@ from rfem_jax.description.mechanism.point_forces import (
     PointMoment,
     PointSpring,
 )
+from rfem_jax.description.mechanism.points import Point
 from rfem_jax.description.mechanism.sections import Circle, GivenSection, Rectangle, Tube
 
 POSITIVE, NOT_NEGATIVE, ANY = "positive", "not_negative", "any"
@@ -57,6 +58,7 @@ FIELDS: dict[type, Fields] = {
         "position": ("length", ANY),
         "inertia": ("moment_of_inertia", NOT_NEGATIVE),
     },
+    Point: {"position": ("length", ANY)},
     Joint: {
         "position": ("length", ANY),
         "orientation": ("angle", ANY),

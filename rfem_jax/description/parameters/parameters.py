@@ -25,6 +25,7 @@ from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.links import Link, PointMass
 from rfem_jax.description.mechanism.mechanism import Mechanism
 from rfem_jax.description.mechanism.point_forces import AtPoint, BetweenPoints, PointSpringTable
+from rfem_jax.description.mechanism.points import Point
 from rfem_jax.description.mechanism.rigid_bodies import RigidBody
 from rfem_jax.description.mechanism.sections import Tube
 from rfem_jax.description.parameters.number_fields import (
@@ -151,7 +152,7 @@ _last: dict[str, tuple[Mechanism, ParameterNames]] = {}
 
 def named_parameters(parts: Parts, held: Sequence[tuple[str, str]]) -> ParameterNames:
     """All parameters of parts; `held`: joints and motions whose start values drives hold."""
-    found = [*_of_links(parts), *_of_joints(parts, held), *_of_forces(parts), *_of_gravity()]
+    found = [*_of_links(parts), *_of_joints(parts, held), *_of_forces(parts), *_of_points(parts), *_of_gravity()]
     kinds: dict[str, list[str]] = {}
     for one in found:
         kind, owner, *_ = one.full.split(".")
@@ -306,6 +307,11 @@ def _force_fields(force: Force, parts: Parts) -> Mapping[str, tuple[str, str]]:
         fields_along = JOINT_FORCES.get(type(force))
         return {} if fields_along is None else fields_along(freedom)
     return POINT_FORCES.get(type(force), {})
+
+
+def _of_points(parts: Parts) -> Iterator[Parameter]:
+    for i, point in enumerate(parts.points):
+        yield from _fields(("point", point.name), point, FIELDS[Point], [("points", i)])
 
 
 def _of_gravity() -> Iterator[Parameter]:

@@ -16,14 +16,15 @@ from rfem_jax.description.mechanism.forces import Force
 from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.links import Link
 from rfem_jax.description.mechanism.mechanism import Mechanism
+from rfem_jax.description.mechanism.points import Point
 
 Path = tuple[str | int, ...]
 
 
 @dataclass(frozen=True)
 class Parts:
-    """Links, joints, springs of each joint, forces and gravity [m/s^2], in the order of the mechanism; reaction_length
-    [m]: as of the mechanism.
+    """Links, joints, springs of each joint, forces, gravity [m/s^2] and points, in the order of the mechanism;
+    reaction_length [m]: as of the mechanism.
 
     Numbers may be traced: nothing here is checked, unlike in what a user makes.
     """
@@ -34,6 +35,7 @@ class Parts:
     forces: tuple[Force, ...]
     gravity: tuple[Number, Number, Number]
     reaction_length: float | None = None
+    points: tuple[Point, ...] = ()
 
     def link(self, name: str) -> Link:
         """The link of a name."""
@@ -57,6 +59,7 @@ def parts_of(mechanism: Mechanism) -> Parts:
         forces=tuple(mechanism.forces),
         gravity=mechanism.gravity,
         reaction_length=mechanism.reaction_length,
+        points=tuple(mechanism.points),
     )
 
 
@@ -106,15 +109,17 @@ def _changed(inside: Any, values: dict[Path, Any]) -> Any:
 
 def renamed_parts(parts: Parts, names: Any) -> Parts:
     """The parts with other names, `names.of(name)`; nothing is checked."""
-    links, joints, forces = (
+    links, joints, forces, points = (
         tuple(_renamed(one, fields, names) for one in things)
         for things, fields in (
             (parts.links, ("name",)),
             (parts.joints, ("name", "parent", "child")),
             (parts.forces, ("name", "joint", "link", "links")),
+            (parts.points, ("name", "link", "relative_to")),
         )
     )
-    return replace(parts, links=tuple(_with_shared(link, names) for link in links), joints=joints, forces=forces)
+    links = tuple(_with_shared(link, names) for link in links)
+    return replace(parts, links=links, joints=joints, forces=forces, points=points)
 
 
 def _with_shared(link: Link, names: Any) -> Link:

@@ -19,6 +19,7 @@ from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.links import Link, PointMass
 from rfem_jax.description.mechanism.materials import Material
 from rfem_jax.description.mechanism.mechanism import Mechanism
+from rfem_jax.description.mechanism.points import Point
 from rfem_jax.description.mechanism.rigid_bodies import RigidBody
 from rfem_jax.description.methods import METHOD_CLASSES, settings_of
 from rfem_jax.description.study_file.force_reader import (
@@ -52,6 +53,7 @@ _IN_A_FILE = {  # where a file has something else than the class
     "joints": "tables [[mechanism.joints]]; each link is the child of exactly one that is not cut",
     "springs": "tables [[mechanism.springs]], as well as those of [[mechanism.forces]]",
     "forces": "tables [[mechanism.forces]]",
+    "points": "tables [[mechanism.points]], whose paths runs follow",
     "section": "name of a table [mechanism.sections.NAME] (a rigid link needs it for its mass, unless it has a body)",
     "material": 'name of a table [mechanism.materials.NAME]; none with a section of shape "given"',
     "body": "table {mass = ..., centre = ..., inertia = ...} in the place of section and material; the link is rigid",
@@ -109,7 +111,7 @@ def key_tables() -> list[KeyTable]:
         ("body of [[mechanism.links]]", RigidBody),
     ):
         tables.append(_table(header, kind, *keys_of(kind), _IN_A_FILE))
-    tables += [*_joint_tables(), *_force_tables()]
+    tables += [*_joint_tables(), *_force_tables(), _table("[[mechanism.points]]", Point, *keys_of(Point))]
     for name, kind in DRIVES.items():
         header, own = f'[drive] or [[drives]] of kind "{name}"', {"kind": f'"{name}"'}
         tables.append(_table(header, kind, *drive_keys(name), own))

@@ -53,6 +53,7 @@ def study_schema() -> Schema:
         "joints": _list_of([one(JOINTS, {"kind": _word(KINDS), **within_joints})]),
         "springs": _list_of(those("[[mechanism.springs]]")),
         "forces": _list_of(those("[[mechanism.forces]]")),
+        "points": _list_of([one("[[mechanism.points]]")]),
     }
     drives = those("[drive]")
     methods = {"method": _word(name for kind in METHOD_CLASSES.values() for name in kind.names)}

@@ -39,6 +39,7 @@ from rfem_jax.description.drives.rotations import PrescribedDrive, PrescribedTab
 from rfem_jax.description.drives.translations import PrescribedDisplacements
 from rfem_jax.description.mechanism.mechanism import STARTS, Mechanism
 from rfem_jax.description.methods import Method
+from rfem_jax.description.metrics.path_metrics import REPORTED
 from rfem_jax.description.metrics.subjects import require_metric, subjects_of
 from rfem_jax.description.parameters.design_table import read_design
 from rfem_jax.description.parameters.deviations import known_while_reading, require_signs, require_sizes
@@ -147,7 +148,7 @@ class Study(ChecksItself):
         checks.relation(("mechanism", "drive", "tasks"), self._check_tasks)
         if self.metrics:
             checks.convert("metrics", metric_names)
-            checks.relation(("mechanism", "drive", "metrics"), self._resolve_metrics)
+        checks.relation(("mechanism", "drive", "metrics"), self._resolve_metrics)
 
     @property
     def tolerances(self) -> SpecifiedTolerances | None:
@@ -298,6 +299,9 @@ class Study(ChecksItself):
     def _resolve_metrics(self) -> None:
         subjects = subjects_of(self.mechanism)
         found = [one for name in self.metrics for one in require_metric(name, subjects, "mechanism")]
+        owners = {name.partition(".")[0].partition("@")[0] for name in found}
+        silent = [point.name for point in self.mechanism.points if point.name not in owners]
+        found += [f"{point}.{kind}" for point in silent for kind in REPORTED]
         object.__setattr__(self, "metrics", tuple(dict.fromkeys(found)))
 
 

@@ -39,6 +39,7 @@ from rfem_jax.description.drives.translations import (
 from rfem_jax.description.mechanism.links import Link, PointMass
 from rfem_jax.description.mechanism.materials import Material
 from rfem_jax.description.mechanism.mechanism import STARTS, Mechanism
+from rfem_jax.description.mechanism.points import Point
 from rfem_jax.description.mechanism.rigid_bodies import RigidBody
 from rfem_jax.description.mechanism.sections import Circle, GivenSection, Rectangle, Section, Tube
 from rfem_jax.description.methods import Method, named_method, setting_names
@@ -58,7 +59,7 @@ DRIVES = {
     "prescribed_displacements": PrescribedDisplacements,
 }
 _MECHANISM_OPTIONS = ("gravity", "redundant_reactions", "reaction_length", "elements")
-MECHANISM_KEYS = (("links", "joints"), ("materials", "sections", "springs", "forces", *_MECHANISM_OPTIONS))
+MECHANISM_KEYS = (("links", "joints"), ("materials", "sections", "springs", "forces", "points", *_MECHANISM_OPTIONS))
 SIMULATION_KEYS = (("duration",), ("method", "save_every", "start"))  # and the settings of the method
 
 
@@ -76,6 +77,7 @@ def read_mechanism(table: object) -> Mechanism:
     parts = {key: content[key] for key in _MECHANISM_OPTIONS if key in content}
     parts["links"] = all_of("links", _read_link, materials, sections)
     joints, springs, forces = all_of("joints", read_joint), all_of("springs", read_spring), all_of("forces", read_force)
+    parts["points"] = all_of("points", partial(read_table, Point))
     parts["joints"] = joints if joints is ABSENT else [joint for joint, _ in joints]
     known = ABSENT not in (joints, springs, forces)
     parts["forces"] = [*(one for _, some in joints for one in some), *springs, *forces] if known else ABSENT

@@ -340,8 +340,16 @@ def velocities(
     actual: ModelWithErrors, motion: Motion
 ) -> tuple[Float[Array, "3 3 nodes"], Float[Array, "3 nodes"], Float[Array, "3 nodes"], Float[Array, "3 nodes"]]:
     """Rotation, centre of mass, its velocity and the angular velocity of all nodes in global axes."""
-    topology = actual.topology
-    rotation, point = all_frames(topology, motion)
+    rotation, point = all_frames(actual.topology, motion)
+    velocity, spin = reference_velocities(actual.topology, motion, point)
+    arm = apply(rotation, actual.centre)
+    return rotation, point + arm, velocity + cross(spin, arm), spin
+
+
+def reference_velocities(
+    topology: Topology, motion: Motion, point: Float[Array, "3 nodes"]
+) -> tuple[Float[Array, "3 nodes"], Float[Array, "3 nodes"]]:
+    """Velocities of all nodes at their reference points, and their angular velocities, in global axes."""
     of_links = spread(topology, motion.links.rotation)
     spin, at_origin = motion.links.velocity[:3], motion.links.velocity[3:]
     link_spin = jnp.concatenate([spin, spread(topology, spin)], axis=1)
@@ -349,9 +357,7 @@ def velocities(
     zeros = jnp.zeros_like(spin)
     angular = jnp.concatenate([zeros, apply(of_links, motion.relative.angular)], axis=1)
     linear = jnp.concatenate([zeros, apply(of_links, motion.relative.linear)], axis=1)
-    arm = apply(rotation, actual.centre)
-    velocity = link_velocity + cross(link_spin, point) + linear + cross(link_spin + angular, arm)
-    return rotation, point + arm, velocity, link_spin + angular
+    return link_velocity + cross(link_spin, point) + linear, link_spin + angular
 
 
 def momentum(actual: ModelWithErrors, state: State) -> tuple[Float[Array, "3"], Float[Array, "3"]]:

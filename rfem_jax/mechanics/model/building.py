@@ -27,7 +27,7 @@ from rfem_jax.mechanics.laws.friction_laws import Friction, friction_law
 from rfem_jax.mechanics.laws.joint_laws import JointLaw, joint_law
 from rfem_jax.mechanics.laws.joint_springs import CompliantSpring, compliant_spring
 from rfem_jax.mechanics.laws.point_laws import load_at, spring_between
-from rfem_jax.mechanics.model.model import BASE, Model, Sections, Topology, rfe_fractions
+from rfem_jax.mechanics.model.model import BASE, CarriedPoint, Model, Sections, Topology, rfe_fractions
 from rfem_jax.mechanics.model.orientations import quaternion_of_angles
 from rfem_jax.mechanics.model.sources import ForceNodes, source_of
 
@@ -47,7 +47,8 @@ def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = Fa
 
 class PartStructure(NamedTuple):
     """The part of a mechanism that does not change with its numbers: topology; points: nodes of the ends of the forces
-    at points, by their names; products: whether point masses may have products of inertia."""
+    at points, and of the points whose paths are followed, by their names; products: whether point masses may have
+    products of inertia."""
 
     topology: Topology
     points: ForceNodes
@@ -64,7 +65,8 @@ def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], 
     children = [discretised.attach(j.child, j.child_position, j.cut) for j in joints]
     _require_first_rfes(joints[: len(links)], children)
     masses = [(i, mass) for i, link in enumerate(links) for mass in _masses_of(link)]
-    points = _force_nodes(mechanism, discretised)
+    acted = _force_nodes(mechanism, discretised)
+    followed = ((one.name, (discretised.attach(one.link, one.place, False).node,)) for one in parts.points)
     topology = Topology(
         links=tuple(link.name for link in links),
         joints=tuple(j.name for j in joints),
@@ -80,13 +82,13 @@ def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], 
         masses=tuple(discretised.node(i, float(mass.position[0])) for i, mass in masses),
         minimum_norm=mechanism.redundant_reactions == "minimum_norm",
         exact=exact,
-        holders=tuple(sorted({node for _, nodes in points for node in nodes if node >= len(links)})),
+        holders=tuple(sorted({node for _, nodes in acted for node in nodes if node >= len(links)})),
         sprung=tuple(j.sprung for j in joints) if any(j.compliance or j.clearance for j in joints) else (),
         clearances=tuple(n for n, j in enumerate(joints) if j.clearance),
         settles=mechanism.start == EQUILIBRIUM,
         massless=tuple(i for i, link in enumerate(links) if link.mass == 0.0),
     )
-    return PartStructure(topology, points, any(any(mass.products) for _, mass in masses))
+    return PartStructure(topology, (*acted, *followed), any(any(mass.products) for _, mass in masses))
 
 
 def arrays_of(parts: Parts, structure: PartStructure) -> Model:
@@ -121,6 +123,7 @@ def arrays_of(parts: Parts, structure: PartStructure) -> Model:
         bearings=bearing_capacities(joints) or None,
         start_rates=_start_rates(joints[: len(links)], topology),
         reaction_length=_reaction_length(parts) if topology.minimum_norm else None,
+        points=_carried_points(parts, topology, links, points) or None,
     )
     return _with_clearances(model, joints) if topology.clearances else model
 
@@ -253,6 +256,19 @@ def _frame_forces(parts: Parts, topology: Topology, links: Sequence[Link], point
             assert isinstance(force, AtPoint)
             elements[force.name] = load_at(force, base, frames[0])
     return elements
+
+
+def _carried_points(
+    parts: Parts, topology: Topology, links: Sequence[Link], nodes: ForceNodes
+) -> dict[str, CarriedPoint]:
+    """The points whose paths are followed, by their names."""
+    carriers, carried = dict(nodes), {}
+    for point in parts.points:
+        (node,) = carriers[point.name]
+        position = jnp.asarray(array_of(_node_place(topology, links, node, point.place, False)), jnp.float64)
+        observer = BASE if point.relative_to == "base" else topology.links.index(point.relative_to)
+        carried[point.name] = CarriedPoint(node, observer, position)
+    return carried
 
 
 def _node_place(

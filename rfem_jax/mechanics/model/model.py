@@ -42,6 +42,15 @@ from rfem_jax.mechanics.model.summary import model_text
 BASE = -1
 
 
+class CarriedPoint(eqx.Module):
+    """A point whose path is followed: the node that carries it and its position (3,) [m] in that node's frame;
+    observer: the link from which it is seen, or the base."""
+
+    node: int = eqx.field(static=True)
+    observer: int = eqx.field(static=True)
+    position: Float[Array, "3"]
+
+
 class Coordinates(eqx.Module):
     """Coordinates of the tree joints [rad, m], joint by joint in the order of their links and of each kind's
     freedoms (positions of spherical and free joints: quaternions, see `orientations`), and the six coordinates (x, y,
@@ -377,7 +386,7 @@ class Model(eqx.Module):
     which those of `Topology.rated` count, likewise; frame_forces: elements between frames on nodes, likewise; springs:
     of compliant joints, by the names of joint and direction as "A.radial", likewise; bearings: what they carry, by
     joint, likewise; reaction_length [m]: over which moments count in the norm of reactions, None unless the least are
-    asked for.
+    asked for; points: whose paths are followed, by their names, None without any.
 
     Numbers of the description change by a `rfem_jax.design`, from which all arrays follow.  `equinox.tree_at` may
     replace what is no number of a description and leaves the geometry as it is, such as the stiffnesses of one link of
@@ -407,13 +416,15 @@ class Model(eqx.Module):
     bearings: dict[str, BearingCapacity] | None = None
     start_rates: Float[Array, " freedoms"] | None = None
     reaction_length: Float[Array, ""] | None = None
+    points: dict[str, CarriedPoint] | None = None
 
     @property
     def own_names(self) -> tuple[str, ...]:
         """Names of all its things, which are no part of programs (`compilation.naming`)."""
         forces = (name for part in (self.forces, self.friction, self.frame_forces) for name in part or {})
         others = () if self.source is None else self.source.own_names
-        return (*self.topology.joints, *self.topology.links, *(one.partition(".")[0] for one in forces), *others)
+        forces = (one.partition(".")[0] for one in forces)
+        return (*self.topology.joints, *self.topology.links, *forces, *(self.points or {}), *others)
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -35,7 +35,8 @@ REDUNDANT = 1e-5  # singular values below this share of the largest one are of r
 
 class NominalShape(NamedTuple):
     """The perfect mechanism at many times, as `centre_lines.Shape`; besides of all joints the frame on the parent
-    without the joint's motion, and its centre [m], and the frame on the child."""
+    without the joint's motion, and its centre [m], and the frame on the child; followed: places [m] of the points whose
+    paths are followed, in the order of their names."""
 
     points: Float[np.ndarray, "times points 3"]
     rotation: Float[np.ndarray, "times joints 3 3"]
@@ -43,6 +44,7 @@ class NominalShape(NamedTuple):
     seat_rotation: Float[np.ndarray, "times joints 3 3"]
     seat_centre: Float[np.ndarray, "times joints 3"]
     bore_rotation: Float[np.ndarray, "times joints 3 3"]
+    followed: Float[np.ndarray, "times followed 3"]
 
 
 def nominal_shapes(model: Model, joints: Float[np.ndarray, "times numbers"]) -> NominalShape:
@@ -59,6 +61,7 @@ def nominal_shapes(model: Model, joints: Float[np.ndarray, "times numbers"]) -> 
         seat_rotation=placed.joint_rotation,
         seat_centre=placed.centre,
         bore_rotation=placed.child_rotation,
+        followed=_followed(model, geometry, placed),
     )
 
 
@@ -116,6 +119,17 @@ def _points(
         along = placed.rotation[:, l, :, 0]
         lines.append(placed.origin[:, None, l] + places[:, None] * along[:, None])
     return np.concatenate(lines, axis=1)
+
+
+def _followed(model: Model, geometry: NominalGeometry, placed: Placed) -> Float[np.ndarray, "times followed 3"]:
+    """Places of the points whose paths are followed, on undeformed links."""
+    topology, found = geometry.topology, [np.zeros((len(placed.origin), 0, 3))]
+    for _, point in sorted((model.points or {}).items()):
+        l, place = topology.link_of(point.node), np.array(point.position)
+        if point.node >= topology.n_links:
+            place[0] += geometry.rest[point.node - topology.n_links]
+        found.append((placed.origin[:, l] + placed.rotation[:, l] @ place)[:, None])
+    return np.concatenate(found, axis=1)
 
 
 def _places(

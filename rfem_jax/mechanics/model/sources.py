@@ -46,10 +46,11 @@ class Blueprint:
     """A description without its numbers that may change; equal to others of equal content.
 
     parts: with nothing in the places of the parameters; names: of all parameters, in the order of the numbers; points:
-    nodes of the ends of the forces at points, by their names; products: whether point masses have products of inertia;
-    closing_tolerance: what the loops may stay open by at the start, over the longest link; described: the numbers of
-    one description of this content, with which all formulas can be evaluated (a tube has a hole, say); mobility:
-    degrees of freedom at the start, of rigid links and of these. The last two are no part of the content.
+    nodes of the ends of the forces at points, and of the points whose paths are followed, by their names; products:
+    whether point masses have products of inertia; closing_tolerance: what the loops may stay open by at the start, over
+    the longest link; described: the numbers of one description of this content, with which all formulas can be
+    evaluated (a tube has a hole, say); mobility: degrees of freedom at the start, of rigid links and of these. The last
+    two are no part of the content.
     """
 
     parts: Parts

@@ -22,7 +22,7 @@ from rfem_jax.mechanics.laws.friction_laws import Friction
 from rfem_jax.mechanics.laws.joint_laws import JointLaws
 from rfem_jax.mechanics.laws.joint_springs import CompliantSpring
 from rfem_jax.mechanics.model.errors import AssemblyErrors, possible_errors
-from rfem_jax.mechanics.model.model import BASE, Model, Topology, rfe_fractions
+from rfem_jax.mechanics.model.model import BASE, CarriedPoint, Model, Topology, rfe_fractions
 
 
 class ModelWithErrors(eqx.Module):
@@ -42,7 +42,7 @@ class ModelWithErrors(eqx.Module):
     possible: 1, or 0 of errors that cannot be: these are then constants of the mechanism without errors.
     forces: along joint coordinates, None without any; frame_forces: elements between frames on nodes, likewise;
     friction: in joints of the tree and cut ones, likewise; springs: of compliant joints, likewise; reaction_length: as
-        of the model.
+        of the model; points: whose paths are followed, likewise.
     """
 
     topology: Topology = eqx.field(static=True)
@@ -68,6 +68,7 @@ class ModelWithErrors(eqx.Module):
     friction: dict[str, Friction] | None = None
     springs: dict[str, CompliantSpring] | None = None
     reaction_length: Float[Array, ""] | None = None
+    points: dict[str, CarriedPoint] | None = None
 
 
 @kernel
@@ -125,6 +126,7 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
             friction=model.friction,
             springs=model.springs,
             reaction_length=model.reaction_length,
+            points=_points(model, scale),
             possible=possible.astype(float),
             **_spring_damping_elements(model, length),
         )
@@ -153,8 +155,22 @@ def _scaled_frame(topology: Topology, frame: NodeFrame, scale: Array) -> NodeFra
     """A frame on a link that became `scale` times as long."""
     if frame.node == BASE:
         return frame
-    x = frame.position[:1] * scale[topology.link_of(frame.node)]
-    return NodeFrame(frame.node, frame.rotation, jnp.concatenate([x, frame.position[1:]]))
+    return NodeFrame(frame.node, frame.rotation, _stretched(topology, frame.node, frame.position, scale))
+
+
+def _stretched(topology: Topology, node: int, position: Float[Array, "3"], scale: Array) -> Float[Array, "3"]:
+    """A place on a link that became `scale` times as long."""
+    return jnp.concatenate([position[:1] * scale[topology.link_of(node)], position[1:]])
+
+
+def _points(model: Model, scale: Array) -> dict[str, CarriedPoint] | None:
+    """The points whose paths are followed, on links that became `scale` times as long."""
+    if model.points is None:
+        return None
+    return {
+        name: CarriedPoint(one.node, one.observer, _stretched(model.topology, one.node, one.position, scale))
+        for name, one in model.points.items()
+    }
 
 
 def _start_angles(model: Model) -> Float[Array, " joints"]:

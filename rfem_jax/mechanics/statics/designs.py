@@ -294,6 +294,7 @@ def _longest_arm(model: Model) -> Float[Array, ""]:
         *zip(topology.children, model.child_position.T),
         *zip(topology.masses, model.point_position.T),
         *((end.node, end.position) for one in (model.frame_forces or {}).values() for end in (one.parent, one.child)),
+        *((one.node, one.position) for one in (model.points or {}).values()),
     ]
     for node, position in places:
         if node == BASE or topology.elements[topology.link_of(node)] == 1:

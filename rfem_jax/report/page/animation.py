@@ -5,9 +5,10 @@ Place in the pipeline: after `rfem_jax.simulation.run_cases`; `folder` reads it 
 The file has, for case number i, arrays named "i_...": times [s]; points (times, P, 3) [m] along the links, link by
 link; rotation (times, J, 3, 3) of the frames in which joint loads are, centre (times, J, 3) [m]; the same with
 "nominal_" of the perfect, rigid mechanism whose driven joints stand as those of the case do (`nominal_path`), and of
-that seat_rotation, seat_centre, bore_rotation: the frames of the joints on parent and child; and the arrays of forces
-at points (`acting`; files of older versions have none). "description" is a JSON text: names of cases, links and joints,
-and what acts.
+that seat_rotation, seat_centre, bore_rotation: the frames of the joints on parent and child; the arrays of forces at
+points (`acting`); path_place and nominal_path_place (times, F, 3) [m] of the points whose paths are followed, in global
+axes (files of older versions have none of the last two). "description" is a JSON text: names of cases, links, joints
+and points, and what acts.
 """
 
 import io
@@ -21,6 +22,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from rfem_jax.mechanics.model.model import BASE
 from rfem_jax.report.annotations import Run
 from rfem_jax.report.page.acting import ACTING, acting_arrays, describe_acting, owner_of
 from rfem_jax.report.page.packing import Packed, pack_integers, some_rows
@@ -32,6 +34,7 @@ MOST_FRAMES = 251  # of a case
 MOST_NUMBERS = 4_000_000  # of the file, or 16 MB
 MOST_PACKED = 500_000  # numbers in the page, two bytes each
 PARTS = ("points", "rotation", "centre")
+PATHS = ("path_place", "nominal_path_place")
 ALL_PARTS = (
     *("times", *PARTS, *(f"nominal_{part}" for part in PARTS)),
     *("seat_rotation", "seat_centre", "bore_rotation"),
@@ -50,15 +53,21 @@ def record_animation(runs: Mapping[str, Run]) -> tuple[dict[str, Any], list[Arra
     topology = known[0].model.topology
     counts = [2 if n == 1 else n + 1 for n in topology.elements]
     acting = describe_acting(known[0])
-    per_time = 6 * sum(counts) + 39 * len(topology.joints) + 9 * len(acting["forces"])
+    paths = [
+        {"name": name, "link": topology.links[topology.link_of(one.node)]}
+        for name, one in sorted((known[0].model.points or {}).items())
+        if one.observer == BASE
+    ]
+    per_time = 6 * (sum(counts) + len(paths)) + 39 * len(topology.joints) + 9 * len(acting["forces"])
     most = max(2, min(MOST_FRAMES, MOST_NUMBERS // (per_time * len(runs))))
     description = {
         "cases": list(runs),
         "links": [{"name": name, "points": n} for name, n in zip(topology.links, counts, strict=True)],
         "joints": _joints(topology),
+        "paths": paths,
         **acting,
     }
-    return description, [_arrays(run, most, acting["forces"]) for run in runs.values()]
+    return description, [_arrays(run, most, description) for run in runs.values()]
 
 
 def _joints(topology: Any) -> list[dict[str, Any]]:
@@ -73,7 +82,7 @@ def _joints(topology: Any) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def _arrays(run: Run, most: int, forces: list[dict[str, Any]]) -> Arrays:
+def _arrays(run: Run, most: int, description: dict[str, Any]) -> Arrays:
     from rfem_jax.mechanics.dynamics.centre_lines import trace_shapes
     from rfem_jax.mechanics.model.nominal_path import nominal_shapes
 
@@ -87,7 +96,14 @@ def _arrays(run: Run, most: int, forces: list[dict[str, Any]]) -> Arrays:
     found |= {part: np.asarray(getattr(real, part)) for part in PARTS}
     found |= {f"nominal_{part}": getattr(nominal, part) for part in PARTS}
     found |= {part: getattr(nominal, part) for part in ALL_PARTS[-3:]}
-    return found | acting_arrays(run, forces, rows)
+    every = sorted(model.points or {})
+    shown_paths = [every.index(one["name"]) for one in description["paths"]]
+    found["nominal_path_place"] = nominal.followed[:, shown_paths]
+    found["path_place"] = np.zeros((len(rows), 0, 3))
+    if shown_paths:
+        places = [np.asarray(run.points[one["name"]].position)[rows] for one in description["paths"]]
+        found["path_place"] = np.stack(places, axis=1)
+    return found | acting_arrays(run, description["forces"], rows)
 
 
 def write_animation(folder: str | Path, runs: Mapping[str, Run]) -> list[Path]:
@@ -136,10 +152,10 @@ def read_animation(folder: str | Path) -> tuple[dict[str, Any], list[Arrays]] | 
 
 
 def _read_case(file: Any, i: int) -> Arrays:
-    """The arrays of case number i; none of forces in files of older versions."""
+    """The arrays of case number i; none of forces and paths in files of older versions."""
     case = {part: _readable(file[f"{i}_{part}"]) for part in ALL_PARTS}
     none = np.zeros((len(case["times"]), 0, 3))
-    return case | {part: _readable(file.get(f"{i}_{part}", none)) for part in ACTING}
+    return case | {part: _readable(file.get(f"{i}_{part}", none)) for part in (*ACTING, *PATHS)}
 
 
 def _readable(values: np.ndarray) -> np.ndarray:
@@ -158,14 +174,17 @@ def _fits(description: Any, cases: list[Arrays]) -> bool:
         names = names and all(isinstance(link["points"], int) and link["points"] > 1 for link in links)
         forces = description.setdefault("forces", [])
         names = names and all(isinstance(one["name"], str) and isinstance(one["links"], list) for one in forces)
+        paths = description.setdefault("paths", [])
+        names = names and all(isinstance(one[key], str) for one in paths for key in ("name", "link"))
         laws = description.setdefault("laws", [])
         names = names and all(isinstance(one[key], str) for one in laws for key in ("name", "joint", "motion"))
     except (TypeError, KeyError, AttributeError):
         return False
-    of_forces = dict.fromkeys(("first", "place", "value"), (len(forces), 3))
-    shapes = {"points": (points, 3), "centre": (joints, 3), "rotation": (joints, 3, 3), **of_forces}
+    shapes = {"points": (points, 3), "centre": (joints, 3), "rotation": (joints, 3, 3)}
+    counts = {**dict.fromkeys(map(str, ACTING), len(forces)), **dict.fromkeys(map(str, PATHS), len(paths))}
+    of_parts = {part: (count, 3) for part, count in counts.items()}
     return names and all(
-        values.shape == (len(case["times"]), *shapes.get(part.rpartition("_")[2], ()))
+        values.shape == (len(case["times"]), *of_parts.get(part, shapes.get(part.rpartition("_")[2], ())))
         and np.issubdtype(values.dtype, np.floating)
         for case in cases
         for part, values in case.items()
@@ -176,7 +195,7 @@ def pack_animation(description: dict[str, Any], cases: list[Arrays]) -> dict[str
     """The animation as the page holds it: places of the perfect mechanism and deviations from them, frames as
     quaternions (w, x, y, z), deviations of frames as rotation vectors [rad]."""
     per_time = 6 * sum(link["points"] for link in description["links"]) + 26 * len(description["joints"])
-    per_time += 9 * len(description["forces"])
+    per_time += 9 * len(description["forces"]) + 6 * len(description["paths"])
     most = max(2, MOST_PACKED // (per_time * max(len(cases), 1)))
     found = [_packed(case, most) for case in cases]
     return {**description, "motions": found}
@@ -194,6 +213,8 @@ def _packed(case: Arrays, most: int) -> dict[str, Packed]:
         "deviation_centre": case["centre"] - case["nominal_centre"],
         "deviation_rotation": rotation_vectors(quaternions_of(turned)),
         "seat_centre": case["seat_centre"],
+        "nominal_path": case["nominal_path_place"],
+        "deviation_path": case["path_place"] - case["nominal_path_place"],
         **{part: case[part] for part in ACTING},
         **quaternions,
     }

@@ -17,7 +17,17 @@ from rfem_jax.report.quantities import ENERGIES
 MOST_ROWS = 2001  # of a case
 MOST_NUMBERS = 220_000  # of all cases, four bytes each
 LARGEST = 200_000_000  # bytes of a file that is read
-UNITS = {"_rad_s": "rad/s", "_m_s": "m/s", "_Nm": "N m", "_rad": "rad", "_N": "N", "_J": "J", "_m": "m", "_s": "s"}
+UNITS = {
+    "_rad_s": "rad/s",
+    "_m_s2": "m/s^2",
+    "_m_s": "m/s",
+    "_Nm": "N m",
+    "_rad": "rad",
+    "_N": "N",
+    "_J": "J",
+    "_m": "m",
+    "_s": "s",
+}
 
 Columns = dict[str, Float[np.ndarray, " times"]]
 
@@ -57,9 +67,8 @@ def quantities_of(names: Sequence[str], joints: Sequence[str]) -> list[dict[str,
             continue
         suffix = next((end for end in UNITS if name.endswith(end)), "")
         word = name.removesuffix(suffix) if suffix else name
-        group = (
-            "Energy" if suffix == "_J" else "Motion" if suffix[:4] in ("_rad", "_m", "_m_s") else "Drives and forces"
-        )
+        moves = suffix[:4] in ("_rad", "_m", "_m_s")
+        group = "Energy" if suffix == "_J" else "Motion" if moves else "Drives and forces"
         label = labels.get(word) or re.sub(r"_", " ", word)
         label = label[:1].upper() + label[1:]
         found.append({"label": label, "group": group, "unit": UNITS.get(suffix, ""), "columns": [name], "parts": []})

@@ -92,7 +92,7 @@ def peak_stress(link: str, power: int = STRESS_POWER) -> Metric:
 
 def _made_of(kind: MetricKind, owner: str) -> Metric:
     """The metric of a kind, of a joint or link, or "" for the whole run."""
-    label = kind.label.replace("{joint}", owner).replace("{link}", owner)
+    label = kind.labelled({kind.of: owner})
     function = kind.function if kind.of == "run" else lambda run: kind.function(run, owner)
     records = kind.recorded_for(owner)
     return Metric(

@@ -23,7 +23,13 @@ from rfem_jax.description.drives.driven_motions import Drive
 from rfem_jax.description.drives.numbers_by_name import drive_number_unit
 from rfem_jax.description.methods import GeneralisedAlpha, Method
 from rfem_jax.description.metrics.catalogue import kind_and_owner, only_at_start
-from rfem_jax.description.metrics.subjects import JointSubject, LinkSubject, MetricSubjects, require_metric
+from rfem_jax.description.metrics.subjects import (
+    JointSubject,
+    LinkSubject,
+    MetricSubjects,
+    PointSubject,
+    require_metric,
+)
 from rfem_jax.description.tolerances.error_catalogue import error_unit
 from rfem_jax.mechanics.model.errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.model.model import Model
@@ -35,7 +41,7 @@ from rfem_jax.simulation.integration import grid_for
 from rfem_jax.simulation.locking import FAILED_IN_MOTION, DriveLimit, drive_limit
 from rfem_jax.simulation.records import require_records
 from rfem_jax.simulation.run import RESIDUAL_LIMIT
-from rfem_jax.simulation.simulating import simulated
+from rfem_jax.simulation.simulating import perfect_model, simulated
 from rfem_jax.simulation.specification import Simulation, simulation_of_call
 from rfem_jax.simulation.stepping import Integration, contact_tolerance_of
 from rfem_jax.simulation.time_grid import TimeGrid, longest_interval, of_any_step
@@ -262,7 +268,8 @@ class Problem(eqx.Module):
         made = designed(problem.model, problem.design, errors)
         integration = Integration.of_any_step(made.model, drive, *problem._grid(), problem.method, made)
         asked = require_records(made.model, problem.records)
-        run = run_of_design(made, simulated(integration, made.errors, None, None, asked))
+        perfect = perfect_model(problem.model, problem.design, errors, asked)
+        run = run_of_design(made, simulated(integration, made.errors, None, None, asked, perfect))
         forces = jnp.stack([load.force for load in run.loads.values()])
         values = {m.name: jnp.asarray(m(run)) for m in self.metrics}
         return values, jnp.asarray(run.status), jnp.asarray(run.checks.equation_residual), forces
@@ -372,7 +379,8 @@ def _subjects_of(model: Model) -> MetricSubjects:
         for name, j in ((name, topology.joints.index(name)) for name in model.joint_names)
     }
     links = {name: LinkSubject(bool(edges) and edges[l] is not None) for l, name in enumerate(topology.links)}
-    return MetricSubjects(joints, links)
+    points = {name: PointSubject(bool(driven)) for name in model.points or {}}
+    return MetricSubjects(joints, links, points)
 
 
 def finer_method(method: Method, contacts: bool = True) -> Method:

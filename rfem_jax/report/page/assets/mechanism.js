@@ -96,6 +96,7 @@ class MechanismView {
     const project = this.camera.projection(panel);
     const actors = panel.cases.map((index) => ({ index, motion: motions[index], at: motions[index].seek(scene.time) }));
     if (scene.perfect) for (const one of actors) this.drawPerfect(project, one);
+    for (const one of actors) this.drawPaths(project, one);
     for (const one of actors) this.drawLinks(project, one);
     for (const one of actors) drawArms(context, project, one, this);
     if (scene.acting) for (const one of actors) drawPointForces(context, project, one, this);
@@ -132,6 +133,33 @@ class MechanismView {
       }));
     }
     return one.drawn.get(factor);
+  }
+
+  // Paths of points: of the case with exaggerated deviations, of the perfect mechanism dashed, and where the point is.
+  drawPaths(project, one) {
+    const colour = caseColour(one.index);
+    (content.animation.paths || []).forEach(({ name, link }, p) => {
+      if (scene.perfect) stroke(this.context, one.motion.path(p, 0).map(project), { colour: palette.faint, width: 1.4, dash: [4, 4] });
+      stroke(this.context, one.motion.path(p, scene.exaggeration).map(project), { colour, width: 1.6 });
+      const here = project(one.motion.pathPoint(p, one.at, scene.exaggeration));
+      if (!Number.isFinite(here.x)) return;
+      const foot = this.footOfPath(p, link, one);
+      if (foot) stroke(this.context, [project(foot), here], { colour, width: 2.4 });
+      disc(this.context, here, 4, colour, palette.ground);
+      write(this.context, name, here.x + 8, here.y + 14, palette.ink, "700 13px system-ui, sans-serif");
+    });
+  }
+
+  // Where the arm of a path's point leaves the line of its link, null where the point is on it.
+  footOfPath(p, link, one) {
+    const l = content.animation.links.findIndex((each) => each.name === link);
+    const { motion } = one;
+    motion.feetOfPaths = motion.feetOfPaths || new Map();
+    if (!motion.feetOfPaths.has(p)) {
+      motion.feetOfPaths.set(p, l < 0 ? null : nearestOn(this.lines({ motion, at: START }, 0)[l], motion.pathPoint(p, START, 0)));
+    }
+    const place = motion.feetOfPaths.get(p);
+    return place && place.distance > ARM * this.measured.size ? onLine(this.lines(one, scene.exaggeration)[l], place) : null;
   }
 
   drawPerfect(project, one) {

@@ -45,6 +45,21 @@ class Motion {
     return plus(this.nominalPoint(i, at), this.read("deviation", i, 3, at), factor);
   }
 
+  // Where the point of a path is.
+  pathPoint(p, at, factor) {
+    return plus(this.read("nominal_path", p, 3, at), this.read("deviation_path", p, 3, at), factor);
+  }
+
+  // All places of a path; kept, since they do not change with time.
+  path(p, factor) {
+    this.drawnPaths = this.drawnPaths || new Map();
+    const key = `${p} ${factor}`;
+    if (!this.drawnPaths.has(key)) {
+      this.drawnPaths.set(key, Array.from(this.times, (_, i) => this.pathPoint(p, { low: i, high: i, share: 0 }, factor)));
+    }
+    return this.drawnPaths.get(key);
+  }
+
   centre(j, at, factor) {
     return plus(this.read("nominal_centre", j, 3, at), this.read("deviation_centre", j, 3, at), factor);
   }
@@ -85,7 +100,7 @@ class Motion {
     }
     const low = [Infinity, Infinity, Infinity];
     const high = [-Infinity, -Infinity, -Infinity];
-    for (const name of ["nominal", "nominal_centre", "seat_centre"]) {
+    for (const name of ["nominal", "nominal_centre", "seat_centre", "nominal_path"]) {
       this.parts[name].values.forEach((value, i) => {
         if (value < low[i % 3]) low[i % 3] = value;
         if (value > high[i % 3]) high[i % 3] = value;

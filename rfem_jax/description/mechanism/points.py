@@ -1,0 +1,77 @@
+"""Points of links, whose paths are asked for: where a coupler's tool, a wheel's centre or a feeler is and goes.
+
+Place in the pipeline: `Mechanism` holds them; a run follows them, and metrics measure their paths.
+
+A point is given in the frame of its link; on a flexible link the rfe whose segment it lies in carries it, so that its
+path has the link's deformation in it. Source: theory (8.17) to (8.25).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError, require_name, suggestion
+from rfem_jax.description.basics.units import Quantity
+from rfem_jax.description.mechanism.links import Link, place_on_link
+
+if TYPE_CHECKING:
+    Place = Quantity | tuple[Quantity, Quantity, Quantity]
+else:
+    Place = Quantity
+
+_ROUNDING = 1e-12  # a position at the end of a link may exceed its length by rounding
+
+
+@dataclass(frozen=True)
+class Point(ChecksItself):
+    """A point of a link, whose path a run follows.
+
+    Args:
+        name: a word that no joint and no link has as its name.
+        link: the link that carries it.
+        position: (x, y, z) [m] in the frame of the link; a single number x means on the axis.
+        relative_to: the link in whose frame the path is given; "base": in global axes.
+    Raises:
+        InputError: a value is out of range or of the wrong kind.
+    """
+
+    name: str
+    link: str
+    position: Place
+    relative_to: str = "base"
+
+    def _check_fields(self, checks: Checks) -> None:
+        checks.convert("name", require_name, "`name` of a point", ("base",))
+        of = f"of point `{self.name}`"
+        checks.convert("link", require_name, f"`link` {of}")
+        checks.convert("position", place_on_link, f"`position` {of}")
+        checks.convert("relative_to", require_name, f"`relative_to` {of}")
+
+    @property
+    def place(self) -> tuple[float, float, float]:
+        """Its position [m] as three numbers."""
+        return self.position  # pyright: ignore[reportReturnType]  # converted
+
+    def require_links(self, links: Mapping[str, Link]) -> None:
+        """Raise InputError unless it is a point of one of `links` (by name) that moves against what it is relative
+        to."""
+        of = f"of point `{self.name}`"
+        for argument, known in (("link", [*links]), ("relative_to", ["base", *links])):
+            if getattr(self, argument) not in known:
+                raise InputError(
+                    f"Argument `{argument}` {of} must be {'' if argument == 'link' else 'the base or '}a link of the "
+                    f"mechanism, but there is no link `{getattr(self, argument)}`; "
+                    f"{suggestion(getattr(self, argument), known)}"
+                )
+        link = links[self.link]
+        if self.relative_to == self.link and not link.flexible:
+            raise InputError(
+                f"Argument `relative_to` {of} must be another link, but `{self.link}` is rigid and carries the point, "
+                "which does not move in its frame; leave it out for global axes."
+            )
+        x = self.place[0]
+        if link.flexible and not 0.0 <= x <= link.length * (1.0 + _ROUNDING):
+            raise InputError(
+                f"Argument `position` {of} must lie on the flexible link `{self.link}` (x from 0 to {link.length} m), "
+                f"but has x = {x} m; move it, or make the link rigid."
+            )
