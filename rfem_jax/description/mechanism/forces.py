@@ -18,15 +18,9 @@ import numpy as np
 
 from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError, require_choice, require_name
 from rfem_jax.description.basics.joint_kinds import KINDS, Freedom
+from rfem_jax.description.basics.numbers import NumberTree, is_known, non_negative_number, number, positive_number
 from rfem_jax.description.basics.own_functions import as_tree, checked_function
-from rfem_jax.description.basics.units import (
-    Quantities,
-    Quantity,
-    non_negative_quantity,
-    positive_quantity,
-    quantity,
-    sequence,
-)
+from rfem_jax.description.basics.units import Quantities, Quantity, sequence
 from rfem_jax.description.drives.driven_motions import plain_motion
 from rfem_jax.description.mechanism.joints import Joint
 
@@ -40,7 +34,7 @@ FRICTION_LAWS = ("tanh", "brown_mcphee")
 FRICTION_KINDS = ("revolute", "prismatic", "cylindrical")
 
 
-class Force(abc.ABC):
+class Force(abc.ABC, NumberTree):
     """A force that a mechanism holds: along joints, or at points of links (`point_forces`)."""
 
     name: str
@@ -96,10 +90,10 @@ class JointSpring(ChecksItself, JointForce):
         of = f"of force `{self.name}`"
         return replace(
             self,
-            stiffness=non_negative_quantity(self.stiffness, _dimension(freedom, "stiffness"), f"`stiffness` {of}"),
-            damping=non_negative_quantity(self.damping, _dimension(freedom, "damping"), f"`damping` {of}"),
-            rest=quantity(self.rest, freedom.dimension, f"`rest` {of}"),
-            preload=quantity(self.preload, _dimension(freedom, "force"), f"`preload` {of}"),
+            stiffness=non_negative_number(self.stiffness, _dimension(freedom, "stiffness"), f"`stiffness` {of}"),
+            damping=non_negative_number(self.damping, _dimension(freedom, "damping"), f"`damping` {of}"),
+            rest=number(self.rest, freedom.dimension, f"`rest` {of}"),
+            preload=number(self.preload, _dimension(freedom, "force"), f"`preload` {of}"),
             motion=_motion_of(self, joint),
         )
 
@@ -260,12 +254,12 @@ class JointFriction(ChecksItself, JointForce):
         }
         found = {}
         for name, dimension in dimensions.items():
-            read = positive_quantity if name in _POSITIVE else non_negative_quantity
+            read = positive_number if name in _POSITIVE else non_negative_number
             value = getattr(self, name)
             found[name] = None if value is None else read(value, dimension, f"`{name}` of force `{self.name}`")
         for name in ("coefficient", "constant"):
             static, sliding = found[f"static_{name}"], found[name]
-            if static is not None and static < sliding:
+            if static is not None and is_known(static, sliding) and static < sliding:
                 raise InputError(
                     f"Argument `static_{name}` of force `{self.name}` must be at least `{name}` ({sliding:g}), but was "
                     f"{static:g}; friction does not grow with the rate, but for its viscous part."

@@ -21,15 +21,14 @@ from rfem_jax.description.basics.errors import (
     require_name,
 )
 from rfem_jax.description.basics.joint_kinds import DEFAULT, KINDS, JointKind, require_kind
-from rfem_jax.description.basics.numbers import Number
-from rfem_jax.description.basics.units import quantity, vector
+from rfem_jax.description.basics.numbers import Number, NumberTree, is_known, number, number_vector
 from rfem_jax.description.mechanism.bearings import Bearing
 from rfem_jax.description.mechanism.clearance import Clearance
 from rfem_jax.description.mechanism.compliance import Compliance, SprungDirection
 
 
 @dataclass(frozen=True)
-class Joint(ChecksItself):
+class Joint(NumberTree, ChecksItself):
     """A joint that lets its child move relative to its parent as its kind says.
 
     Args:
@@ -98,7 +97,7 @@ class Joint(ChecksItself):
             checks.convert(field, _vector, dimension, f"`{field}` {of}")
         for field, dimension in {**_STARTS, **_RATES}.items():
             if getattr(self, field) is not None:
-                checks.convert(field, quantity, dimension, f"`{field}` {of}")
+                checks.convert(field, number, dimension, f"`{field}` {of}")
         checks.relation(("kind", "cut"), self._check_cut, of)
         if checks.passed("kind", "cut"):
             self._set_start(checks, of)
@@ -205,7 +204,8 @@ class Joint(ChecksItself):
     def require_no_rate(self, motion: str) -> None:
         """Raise InputError if an initial rate is given of a motion that a drive prescribes."""
         kind = KINDS[self.kind]
-        if self.start_rates[kind.motions.index(motion)] not in (None, 0.0):
+        rate = self.start_rates[kind.motions.index(motion)]
+        if rate is not None and not (is_known(rate) and rate == 0.0):
             raise InputError(
                 f"Argument `{self.rate_field(motion.startswith('R'))}` of joint `{self.name}` must be left out where a "
                 "drive prescribes this motion, and with it its rate, but was given; remove one of the two."
@@ -247,7 +247,7 @@ def _of_each(values: object, kind: JointKind, where: str, dimensions: Sequence[s
             f"{values!r}; write for example {[0.0] * len(freedoms)}."
         )
     entries = zip(values, dimensions, strict=True)
-    return tuple(quantity(value, one, f"{where} (entry {n})") for n, (value, one) in enumerate(entries, 1))
+    return tuple(number(value, one, f"{where} (entry {n})") for n, (value, one) in enumerate(entries, 1))
 
 
 def _kind_name(kind: object, where: str) -> str:
@@ -265,7 +265,7 @@ def _child(child: object, of: str) -> str:
 def _vector(value: Any, dimension: str, where: str) -> tuple[float, float, float] | None:
     if value is None:
         return (0.0, 0.0, 0.0) if dimension == "angle" else None
-    return vector(value, dimension, where)
+    return number_vector(value, dimension, where)
 
 
 _STARTS = {"angle": "angle", "displacement": "length"}

@@ -10,12 +10,19 @@ Source: theory (1.1), (1.7).
 from dataclasses import dataclass
 
 from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError, require_name
-from rfem_jax.description.basics.numbers import Number
-from rfem_jax.description.basics.units import Quantity, non_negative_quantity, positive_quantity, quantity
+from rfem_jax.description.basics.numbers import (
+    Number,
+    NumberTree,
+    is_known,
+    non_negative_number,
+    number,
+    positive_number,
+)
+from rfem_jax.description.basics.units import Quantity
 
 
 @dataclass(frozen=True)
-class Material(ChecksItself):
+class Material(NumberTree, ChecksItself):
     """A linear elastic, isotropic material; numbers in SI or strings with a unit.
 
     Args:
@@ -45,11 +52,11 @@ class Material(ChecksItself):
                 f"Argument `poisson_ratio` {where} must be given or else `shear_modulus`, "
                 f"but {given}; give exactly one of the two."
             )
-        checks.convert("youngs_modulus", positive_quantity, "pressure", f"`youngs_modulus` {where}")
-        checks.convert("density", positive_quantity, "density", f"`density` {where}")
-        checks.convert("damping", non_negative_quantity, "time", f"`damping` {where}")
+        checks.convert("youngs_modulus", positive_number, "pressure", f"`youngs_modulus` {where}")
+        checks.convert("density", positive_number, "density", f"`density` {where}")
+        checks.convert("damping", non_negative_number, "time", f"`damping` {where}")
         if self.shear_modulus is not None:
-            checks.convert("shear_modulus", positive_quantity, "pressure", f"`shear_modulus` {where}")
+            checks.convert("shear_modulus", positive_number, "pressure", f"`shear_modulus` {where}")
         if self.poisson_ratio is not None:
             checks.convert("poisson_ratio", _poisson_ratio, f"`poisson_ratio` {where}")
 
@@ -63,7 +70,7 @@ class Material(ChecksItself):
 
 
 def _poisson_ratio(value: Quantity, where: str) -> float:
-    ratio = quantity(value, "none", where)
-    if not -1.0 < ratio <= 0.5:
+    ratio = number(value, "none", where)
+    if is_known(ratio) and not -1.0 < ratio <= 0.5:
         raise InputError(f"Argument {where} must be above -1 and at most 0.5, but was {ratio}; metals have about 0.3.")
     return ratio

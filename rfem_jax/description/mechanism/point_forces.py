@@ -25,8 +25,9 @@ from rfem_jax.description.basics.errors import (
     subject,
     suggestion,
 )
+from rfem_jax.description.basics.numbers import is_known, non_negative_number, number, number_vector
 from rfem_jax.description.basics.own_functions import as_tree, checked_function
-from rfem_jax.description.basics.units import Quantities, Quantity, non_negative_quantity, quantity, sequence, vector
+from rfem_jax.description.basics.units import Quantities, Quantity, sequence, vector
 from rfem_jax.description.drives.arguments import checked_breakpoints, table_times
 from rfem_jax.description.mechanism.forces import Force
 from rfem_jax.description.mechanism.links import Link, place_on_link
@@ -63,7 +64,7 @@ class PointLoad(Force, ChecksItself):
                 )
             if name != "base" and links[name].flexible:
                 length = links[name].length
-                if not 0.0 <= place[0] <= length * (1.0 + _ROUNDING):
+                if is_known(place[0], length) and not 0.0 <= place[0] <= length * (1.0 + _ROUNDING):
                     raise InputError(
                         f"Argument `{self.place_argument}` of force `{self.name}` must lie on the flexible link "
                         f"`{name}` (x from 0 to {length} m), but has x = {place[0]} m; move it, or make the link rigid."
@@ -131,10 +132,10 @@ class PointSpring(BetweenPoints):
     def _check_fields(self, checks: Checks) -> None:
         self._check_ends(checks)
         of = f"of force `{self.name}`"
-        checks.convert("stiffness", non_negative_quantity, "stiffness", f"`stiffness` {of}")
-        checks.convert("damping", non_negative_quantity, "damping", f"`damping` {of}")
-        checks.convert("free_length", non_negative_quantity, "length", f"`free_length` {of}")
-        checks.convert("preload", quantity, "force", f"`preload` {of}")
+        checks.convert("stiffness", non_negative_number, "stiffness", f"`stiffness` {of}")
+        checks.convert("damping", non_negative_number, "damping", f"`damping` {of}")
+        checks.convert("free_length", non_negative_number, "length", f"`free_length` {of}")
+        checks.convert("preload", number, "force", f"`preload` {of}")
 
 
 @dataclass(frozen=True)
@@ -352,7 +353,7 @@ def _values(values: Any, dimension: str, value: str, of: str, times: Any) -> Any
     if callable(values):
         return _function(values, of, "t, phase", (3,), ("float64", "int32"), value)
     if times is None or times is ABSENT:
-        return vector(values, dimension, where)
+        return number_vector(values, dimension, where)
     if not isinstance(values, (tuple, list, np.ndarray)) or len(values) != len(times):
         count = len(values) if isinstance(values, (tuple, list, np.ndarray)) else repr(values)
         raise InputError(

@@ -17,8 +17,18 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 
 from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError, require_name
-from rfem_jax.description.basics.numbers import Number, chosen, larger, smaller
-from rfem_jax.description.basics.units import DERIVED, non_negative_quantity, positive_quantity
+from rfem_jax.description.basics.numbers import (
+    Number,
+    NumberTree,
+    chosen,
+    is_known,
+    larger,
+    non_negative_number,
+    positive_number,
+    smaller,
+    traced,
+)
+from rfem_jax.description.basics.units import DERIVED
 from rfem_jax.description.mechanism.materials import Material
 
 ROUND_POINTS = 32  # at the edge of a round section: the largest stress is found to within 0.5 %
@@ -50,7 +60,7 @@ class SectionProperties:
     damping: Number
 
 
-class _Shape(abc.ABC, ChecksItself):
+class _Shape(abc.ABC, NumberTree, ChecksItself):
     """A homogeneous section of known geometry; subclasses give area, I_y, I_z, J_t and kappa."""
 
     shear_factor: float
@@ -135,8 +145,8 @@ class Rectangle(_Shape):
     name: str | None = field(default=None, kw_only=True, compare=False)
 
     def _check_fields(self, checks: Checks) -> None:
-        _convert(checks, ("width", "height"), positive_quantity, "length")
-        _convert(checks, ("shear_factor",), positive_quantity, "none")
+        _convert(checks, ("width", "height"), positive_number, "length")
+        _convert(checks, ("shear_factor",), positive_number, "none")
 
     @property
     def area(self) -> Number:
@@ -195,8 +205,8 @@ class Circle(_Shape):
     name: str | None = field(default=None, kw_only=True, compare=False)
 
     def _check_fields(self, checks: Checks) -> None:
-        _convert(checks, ("diameter",), positive_quantity, "length")
-        _convert(checks, ("shear_factor",), positive_quantity, "none")
+        _convert(checks, ("diameter",), positive_number, "length")
+        _convert(checks, ("shear_factor",), positive_number, "none")
 
     @property
     def area(self) -> Number:
@@ -227,7 +237,8 @@ class Tube(_Shape):
         outer_diameter: [m], > 0.
         wall: thickness [m], > 0 and less than half of the outer diameter.
         shear_factor: kappa [1], > 0; None = Cowper's value for nu = 0,
-            7/6 + (10/3) r^2 / (1 + r^2)^2 with r = inner / outer diameter (2 for a thin wall).
+            7/6 + (10/3) r^2 / (1 + r^2)^2 with r = inner / outer diameter (2 for a thin wall); of traced diameters it
+            stays None.
         name: a word, by which parameters of the section are named; None = they are named by the link.
     """
 
@@ -237,15 +248,15 @@ class Tube(_Shape):
     name: str | None = field(default=None, kw_only=True, compare=False)
 
     def _check_fields(self, checks: Checks) -> None:
-        _convert(checks, ("outer_diameter", "wall"), positive_quantity, "length")
+        _convert(checks, ("outer_diameter", "wall"), positive_number, "length")
         checks.relation(("outer_diameter", "wall"), self._check_wall)
         if self.shear_factor is not None:
-            _convert(checks, ("shear_factor",), positive_quantity, "none")
-        elif checks.passed("outer_diameter", "wall"):
+            _convert(checks, ("shear_factor",), positive_number, "none")
+        elif checks.passed("outer_diameter", "wall") and not traced((self.outer_diameter, self.wall)):
             object.__setattr__(self, "shear_factor", self.derived_factor)
 
     def _check_wall(self) -> None:
-        if self.wall >= self.outer_diameter / 2.0:
+        if is_known(self.wall, self.outer_diameter) and self.wall >= self.outer_diameter / 2.0:
             raise InputError(
                 "Argument `wall` of Tube must be less than half of the outer diameter "
                 f"({self.outer_diameter / 2.0} m), but was {self.wall} m; reduce it, or use Circle."
@@ -287,7 +298,7 @@ class Tube(_Shape):
 
 
 @dataclass(frozen=True)
-class GivenSection(ChecksItself):
+class GivenSection(NumberTree, ChecksItself):
     """A section given by its own stiffnesses and inertias per unit length; takes no material.
 
     Args:
@@ -326,18 +337,18 @@ class GivenSection(ChecksItself):
 
     def _check_fields(self, checks: Checks) -> None:
         stiffnesses = ("axial_stiffness", "shear_stiffness_y", "shear_stiffness_z")
-        _convert(checks, stiffnesses, positive_quantity, "axial_stiffness")
+        _convert(checks, stiffnesses, positive_number, "axial_stiffness")
         stiffnesses = ("torsion_stiffness", "bending_stiffness_y", "bending_stiffness_z")
-        _convert(checks, stiffnesses, positive_quantity, "bending_stiffness")
-        _convert(checks, ("line_density",), positive_quantity, "line_density")
+        _convert(checks, stiffnesses, positive_number, "bending_stiffness")
+        _convert(checks, ("line_density",), positive_number, "line_density")
         inertias = ("rotary_inertia_x", "rotary_inertia_y", "rotary_inertia_z")
-        _convert(checks, inertias, positive_quantity, "rotary_inertia")
-        _convert(checks, ("damping",), non_negative_quantity, "time")
+        _convert(checks, inertias, positive_number, "rotary_inertia")
+        _convert(checks, ("damping",), non_negative_number, "time")
         where = "`rotary_inertia_x`, `_y` and `_z` of GivenSection"
         checks.relation(inertias, require_triangle, tuple(getattr(self, one) for one in inertias), where)
         for name, dimension in _EDGE.items():
             if getattr(self, name) is not None:
-                checks.convert(name, positive_quantity, dimension, f"`{name}` of GivenSection")
+                checks.convert(name, positive_number, dimension, f"`{name}` of GivenSection")
         checks.relation(tuple(_EDGE), self._check_edge)
 
     def _check_edge(self) -> None:
@@ -380,7 +391,9 @@ Section = Rectangle | Circle | Tube | GivenSection
 
 
 def require_triangle(inertias: tuple[float, float, float], where: str) -> None:
-    """Raise InputError unless no principal inertia exceeds the sum of the two others."""
+    """Raise InputError unless no principal inertia exceeds the sum of the two others, as far as these are known."""
+    if not is_known(inertias):
+        return
     largest = max(inertias)
     if largest > (sum(inertias) - largest) * (1.0 + 1e-9):
         raise InputError(
