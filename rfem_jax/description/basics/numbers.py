@@ -8,7 +8,7 @@ places, and the same formulas are then operations of JAX.
 """
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from functools import partial
 from typing import Any
@@ -24,6 +24,11 @@ from rfem_jax.description.basics.errors import InputError, subject
 from rfem_jax.description.basics.units import non_negative_quantity, positive_quantity, quantity, vector
 
 Number = float | Float[np.ndarray, ""] | Float[Array, ""]
+POSITIVE, NOT_NEGATIVE, ANY = "positive", "not_negative", "any"
+SIGN_WORDS = {POSITIVE: "greater than 0", NOT_NEGATIVE: "at least 0"}
+READERS = {POSITIVE: positive_quantity, NOT_NEGATIVE: non_negative_quantity, ANY: quantity}
+# Of the numbers of an object of a description, which a design may set: {field: (dimension, sign)}.
+Fields = Mapping[str, tuple[str, str]]
 
 
 class NumberTree:
@@ -64,19 +69,25 @@ def _is_static(value: Any) -> bool:
     return value is None or isinstance(value, (str, int))
 
 
+def value_of(number: Any) -> float | None:
+    """The value of a number: None of a traced one within `jax.jit` and `jax.vmap`; within derivatives alone it has
+    one."""
+    try:
+        return float(jax.lax.stop_gradient(number) if isinstance(number, Tracer) else number)
+    except jax.errors.ConcretizationTypeError:
+        return None
+
+
 def is_known(*numbers: Any) -> bool:
-    """Whether all numbers of nested sequences have values already, so that they can be compared: within `jax.jit` and
-    `jax.vmap` traced ones have none, within derivatives alone they have."""
-    for number in numbers:
-        if isinstance(number, (list, tuple)):
-            if not is_known(*number):
-                return False
-        elif isinstance(number, Tracer):
-            try:
-                float(number)
-            except jax.errors.ConcretizationTypeError:
-                return False
-    return True
+    """Whether all numbers of nested sequences have values already, so that they can be compared."""
+    if any(isinstance(number, (list, tuple)) and not is_known(*number) for number in numbers):
+        return False
+    return not any(isinstance(number, Tracer) and value_of(number) is None for number in numbers)
+
+
+def read_number(value: Any, field: tuple[str, str], where: str) -> Any:
+    """As `number`, of the dimension and the sign of a field."""
+    return number(value, field[0], where, READERS[field[1]])
 
 
 def number(value: Any, dimension: str, where: str, read: Callable[[Any, str, str], float] = quantity) -> Any:
@@ -88,8 +99,9 @@ def number(value: Any, dimension: str, where: str, read: Callable[[Any, str, str
             f"{subject(where)} must be a float64 scalar, but has the type {value.dtype} and "
             f"the shape {value.shape}; convert it first."
         )
-    if is_known(value):
-        read(float(value), dimension, where)
+    known = value_of(value)
+    if known is not None:
+        read(known, dimension, where)
     return value
 
 

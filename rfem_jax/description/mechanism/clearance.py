@@ -12,7 +12,15 @@ from typing import Any
 
 from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError, require_choice
 from rfem_jax.description.basics.iso_fits import clearance_fit, is_fit
-from rfem_jax.description.basics.numbers import NumberTree, is_known, non_negative_number, positive_number
+from rfem_jax.description.basics.numbers import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    Fields,
+    NumberTree,
+    is_known,
+    non_negative_number,
+    positive_number,
+)
 from rfem_jax.description.basics.units import Quantity, positive_quantity
 
 PINS = ("child", "parent")
@@ -100,6 +108,23 @@ class Clearance(NumberTree, ChecksItself):
         checks.relation(("exponent", "axial_exponent"), self._check_axial)
         checks.relation(("damping", "restitution"), self._check_dampers)
         checks.relation(("friction", "diameter", "sliding_speed"), self._check_friction)
+
+    @property
+    def numbers(self) -> Fields:
+        """Its numbers; the dimensions of stiffnesses follow from its exponents."""
+        return {
+            "radial": ("length", NOT_NEGATIVE),
+            "axial": ("length", NOT_NEGATIVE),
+            "length": ("length", POSITIVE),
+            "diameter": ("length", POSITIVE),
+            **{name: (stiffness_dimension(self, name), POSITIVE) for name in ("stiffness", "axial_stiffness")},
+            "damping": ("contact_damping", NOT_NEGATIVE),
+            "restitution": ("none", NOT_NEGATIVE),
+            "slowest_approach": ("speed", POSITIVE),
+            "friction": ("none", NOT_NEGATIVE),
+            "sliding_speed": ("speed", POSITIVE),
+            "centring": ("stiffness", POSITIVE),
+        }
 
     @property
     def of_stop(self) -> tuple[Any, Any]:

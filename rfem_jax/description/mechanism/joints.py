@@ -10,7 +10,7 @@ Source: theory (2.3) to (2.6), (2.14) to (2.16).
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from rfem_jax.description.basics.errors import (
     Checks,
@@ -21,7 +21,7 @@ from rfem_jax.description.basics.errors import (
     require_name,
 )
 from rfem_jax.description.basics.joint_kinds import DEFAULT, KINDS, JointKind, require_kind
-from rfem_jax.description.basics.numbers import Number, NumberTree, is_known, number, number_vector
+from rfem_jax.description.basics.numbers import ANY, Fields, Number, NumberTree, is_known, number, number_vector
 from rfem_jax.description.mechanism.bearings import Bearing
 from rfem_jax.description.mechanism.clearance import Clearance
 from rfem_jax.description.mechanism.compliance import Compliance, SprungDirection
@@ -85,6 +85,16 @@ class Joint(NumberTree, ChecksItself):
     speed: float | None = None
     rates: tuple[float, ...] | None = None
 
+    # But for start values and the rates of several motions, which are parameters only of some motions.
+    numbers: ClassVar[Fields] = {
+        "position": ("length", ANY),
+        "orientation": ("angle", ANY),
+        "child_position": ("length", ANY),
+        "child_orientation": ("angle", ANY),
+        "rate": ("rate", ANY),
+        "speed": ("speed", ANY),
+    }
+
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("name", require_name, "`name` of a joint")
         of = f"of joint `{self.name}`"
@@ -93,9 +103,9 @@ class Joint(NumberTree, ChecksItself):
         checks.convert("child", _child, of)
         checks.relation(("parent", "child"), self._check_child, of)
         checks.convert("cut", require_flag, f"`cut` {of}")
-        for field, dimension in _VECTORS.items():
-            checks.convert(field, _vector, dimension, f"`{field}` {of}")
-        for field, dimension in {**_STARTS, **_RATES}.items():
+        for field in ("position", "orientation", "child_position", "child_orientation"):
+            checks.convert(field, _vector, self.numbers[field][0], f"`{field}` {of}")
+        for field, dimension in (("angle", "angle"), ("displacement", "length"), ("rate", "rate"), ("speed", "speed")):
             if getattr(self, field) is not None:
                 checks.convert(field, number, dimension, f"`{field}` {of}")
         checks.relation(("kind", "cut"), self._check_cut, of)
@@ -266,13 +276,3 @@ def _vector(value: Any, dimension: str, where: str) -> tuple[float, float, float
     if value is None:
         return (0.0, 0.0, 0.0) if dimension == "angle" else None
     return number_vector(value, dimension, where)
-
-
-_STARTS = {"angle": "angle", "displacement": "length"}
-_RATES = {"rate": "rate", "speed": "speed"}
-_VECTORS = {
-    "position": "length",
-    "orientation": "angle",
-    "child_position": "length",
-    "child_orientation": "angle",
-}

@@ -8,7 +8,7 @@ Source: theory (1.3) to (1.6).
 """
 
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -21,6 +21,10 @@ from rfem_jax.description.basics.errors import (
     require_name,
 )
 from rfem_jax.description.basics.numbers import (
+    ANY,
+    NOT_NEGATIVE,
+    POSITIVE,
+    Fields,
     Number,
     NumberTree,
     is_known,
@@ -59,6 +63,12 @@ class PointMass(NumberTree, ChecksItself):
     mass: float
     position: tuple[float, float, float]
     inertia: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    numbers: ClassVar[Fields] = {
+        "mass": ("mass", POSITIVE),
+        "position": ("length", ANY),
+        "inertia": ("moment_of_inertia", NOT_NEGATIVE),
+    }
 
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("mass", positive_number, "mass", "`mass` of a point mass")

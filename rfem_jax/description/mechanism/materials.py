@@ -8,15 +8,19 @@ Source: theory (1.1), (1.7).
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError, require_name
 from rfem_jax.description.basics.numbers import (
+    ANY,
+    NOT_NEGATIVE,
+    POSITIVE,
+    Fields,
     Number,
     NumberTree,
     is_known,
-    non_negative_number,
     number,
-    positive_number,
+    read_number,
 )
 from rfem_jax.description.basics.units import Quantity
 
@@ -43,6 +47,14 @@ class Material(NumberTree, ChecksItself):
     shear_modulus: float | None = None
     damping: float = 0.0
 
+    numbers: ClassVar[Fields] = {
+        "youngs_modulus": ("pressure", POSITIVE),
+        "density": ("density", POSITIVE),
+        "poisson_ratio": ("none", ANY),
+        "shear_modulus": ("pressure", POSITIVE),
+        "damping": ("time", NOT_NEGATIVE),
+    }
+
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("name", require_name, "`name` of a material")
         where = f"of material `{self.name}`"
@@ -52,11 +64,9 @@ class Material(NumberTree, ChecksItself):
                 f"Argument `poisson_ratio` {where} must be given or else `shear_modulus`, "
                 f"but {given}; give exactly one of the two."
             )
-        checks.convert("youngs_modulus", positive_number, "pressure", f"`youngs_modulus` {where}")
-        checks.convert("density", positive_number, "density", f"`density` {where}")
-        checks.convert("damping", non_negative_number, "time", f"`damping` {where}")
-        if self.shear_modulus is not None:
-            checks.convert("shear_modulus", positive_number, "pressure", f"`shear_modulus` {where}")
+        for name in ("youngs_modulus", "density", "damping", "shear_modulus"):
+            if name != "shear_modulus" or self.shear_modulus is not None:
+                checks.convert(name, read_number, self.numbers[name], f"`{name}` {where}")
         if self.poisson_ratio is not None:
             checks.convert("poisson_ratio", _poisson_ratio, f"`poisson_ratio` {where}")
 

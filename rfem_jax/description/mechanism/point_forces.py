@@ -11,7 +11,7 @@ import abc
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from rfem_jax.description.basics.errors import (
     subject,
     suggestion,
 )
-from rfem_jax.description.basics.numbers import is_known, non_negative_number, number, number_vector
+from rfem_jax.description.basics.numbers import ANY, NOT_NEGATIVE, Fields, is_known, number_vector, read_number
 from rfem_jax.description.basics.own_functions import as_tree, checked_function
 from rfem_jax.description.basics.units import Quantities, Quantity, sequence, vector
 from rfem_jax.description.drives.arguments import checked_breakpoints, table_times
@@ -129,13 +129,17 @@ class PointSpring(BetweenPoints):
     free_length: Quantity = 0.0
     preload: Quantity = 0.0
 
+    numbers: ClassVar[Fields] = {
+        "stiffness": ("stiffness", NOT_NEGATIVE),
+        "damping": ("damping", NOT_NEGATIVE),
+        "free_length": ("length", NOT_NEGATIVE),
+        "preload": ("force", ANY),
+    }
+
     def _check_fields(self, checks: Checks) -> None:
         self._check_ends(checks)
-        of = f"of force `{self.name}`"
-        checks.convert("stiffness", non_negative_number, "stiffness", f"`stiffness` {of}")
-        checks.convert("damping", non_negative_number, "damping", f"`damping` {of}")
-        checks.convert("free_length", non_negative_number, "length", f"`free_length` {of}")
-        checks.convert("preload", number, "force", f"`preload` {of}")
+        for name, field in self.numbers.items():
+            checks.convert(name, read_number, field, f"`{name}` of force `{self.name}`")
 
 
 @dataclass(frozen=True)
@@ -203,6 +207,7 @@ class PointSpringFunction(BetweenPoints):
 class AtPoint(PointLoad):
     """A force or a moment at a point of one link: constant, or over time."""
 
+    numbers: ClassVar[Fields] = {"position": ("length", ANY)}
     link: str
     position: Place
     times: Any

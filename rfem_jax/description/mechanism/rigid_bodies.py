@@ -6,19 +6,24 @@ Symbols: mass m [kg], centre c [m] in the link frame, inertia J [kg m^2] about t
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
+import jax
 import numpy as np
 from jaxtyping import Array, Float
 
 from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError
 from rfem_jax.description.basics.numbers import (
+    ANY,
+    POSITIVE,
+    Fields,
     NumberTree,
     array_of,
     is_known,
     non_negative_number,
     number_vector,
     rotation_of_angles,
+    value_of,
 )
 from rfem_jax.description.mechanism.sections import require_triangle
 
@@ -45,6 +50,9 @@ class RigidBody(NumberTree, ChecksItself):
     inertia: tuple[float, float, float] | Tensor
     orientation: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
+    # But for the inertia, whose entries have names of their own, and a mass of zero, which no design changes.
+    numbers: ClassVar[Fields] = {"mass": ("mass", POSITIVE), "centre": ("length", ANY), "orientation": ("angle", ANY)}
+
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("mass", non_negative_number, "mass", "`mass` of a body")
         checks.convert("centre", number_vector, "length", "`centre` of a body")
@@ -55,7 +63,7 @@ class RigidBody(NumberTree, ChecksItself):
     def _check_inertia(self) -> None:
         if not is_known(self.mass, self.inertia):
             return
-        tensor, where = np.asarray(_as_tensor(self.inertia)), "`inertia` of a body"
+        tensor, where = _as_tensor(jax.tree.map(value_of, self.inertia)), "`inertia` of a body"
         if np.abs(tensor - tensor.T).max() > _SYMMETRY * np.abs(tensor).max():
             raise InputError(
                 f"Argument {where} must be symmetric, but was {tensor.tolist()}; give the products of inertia twice, "

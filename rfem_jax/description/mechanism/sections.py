@@ -13,18 +13,22 @@ a section: theory (8.11); torsion of a rectangle: W. C. Young, R. G. Budynas, Ro
 
 import abc
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError, require_name
 from rfem_jax.description.basics.numbers import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    Fields,
     Number,
     NumberTree,
     chosen,
     is_known,
     larger,
-    non_negative_number,
     positive_number,
+    read_number,
     smaller,
     traced,
 )
@@ -63,7 +67,11 @@ class SectionProperties:
 class _Shape(abc.ABC, NumberTree, ChecksItself):
     """A homogeneous section of known geometry; subclasses give area, I_y, I_z, J_t and kappa."""
 
+    numbers: ClassVar[Fields]
     shear_factor: float
+
+    def _check_fields(self, checks: Checks) -> None:
+        _convert(checks, self.numbers)
 
     @property
     def kappa(self) -> Number:
@@ -144,9 +152,11 @@ class Rectangle(_Shape):
     shear_factor: float = 1.2
     name: str | None = field(default=None, kw_only=True, compare=False)
 
-    def _check_fields(self, checks: Checks) -> None:
-        _convert(checks, ("width", "height"), positive_number, "length")
-        _convert(checks, ("shear_factor",), positive_number, "none")
+    numbers: ClassVar[Fields] = {
+        "width": ("length", POSITIVE),
+        "height": ("length", POSITIVE),
+        "shear_factor": ("none", POSITIVE),
+    }
 
     @property
     def area(self) -> Number:
@@ -204,9 +214,7 @@ class Circle(_Shape):
     shear_factor: float = 10.0 / 9.0
     name: str | None = field(default=None, kw_only=True, compare=False)
 
-    def _check_fields(self, checks: Checks) -> None:
-        _convert(checks, ("diameter",), positive_number, "length")
-        _convert(checks, ("shear_factor",), positive_number, "none")
+    numbers: ClassVar[Fields] = {"diameter": ("length", POSITIVE), "shear_factor": ("none", POSITIVE)}
 
     @property
     def area(self) -> Number:
@@ -247,11 +255,17 @@ class Tube(_Shape):
     shear_factor: float = DERIVED
     name: str | None = field(default=None, kw_only=True, compare=False)
 
+    numbers: ClassVar[Fields] = {
+        "outer_diameter": ("length", POSITIVE),
+        "wall": ("length", POSITIVE),
+        "shear_factor": ("none", POSITIVE),
+    }
+
     def _check_fields(self, checks: Checks) -> None:
-        _convert(checks, ("outer_diameter", "wall"), positive_number, "length")
+        _convert(checks, ("outer_diameter", "wall"))
         checks.relation(("outer_diameter", "wall"), self._check_wall)
         if self.shear_factor is not None:
-            _convert(checks, ("shear_factor",), positive_number, "none")
+            _convert(checks, ("shear_factor",))
         elif checks.passed("outer_diameter", "wall") and not traced((self.outer_diameter, self.wall)):
             object.__setattr__(self, "shear_factor", self.derived_factor)
 
@@ -335,15 +349,19 @@ class GivenSection(NumberTree, ChecksItself):
     torsion_modulus: float | None = None
     name: str | None = field(default=None, kw_only=True, compare=False)
 
+    numbers: ClassVar[Fields] = {
+        **dict.fromkeys(("axial_stiffness", "shear_stiffness_y", "shear_stiffness_z"), ("axial_stiffness", POSITIVE)),
+        **dict.fromkeys(
+            ("torsion_stiffness", "bending_stiffness_y", "bending_stiffness_z"), ("bending_stiffness", POSITIVE)
+        ),
+        "line_density": ("line_density", POSITIVE),
+        **dict.fromkeys([f"rotary_inertia_{axis}" for axis in "xyz"], ("rotary_inertia", POSITIVE)),
+        "damping": ("time", NOT_NEGATIVE),
+    }
+
     def _check_fields(self, checks: Checks) -> None:
-        stiffnesses = ("axial_stiffness", "shear_stiffness_y", "shear_stiffness_z")
-        _convert(checks, stiffnesses, positive_number, "axial_stiffness")
-        stiffnesses = ("torsion_stiffness", "bending_stiffness_y", "bending_stiffness_z")
-        _convert(checks, stiffnesses, positive_number, "bending_stiffness")
-        _convert(checks, ("line_density",), positive_number, "line_density")
+        _convert(checks, self.numbers)
         inertias = ("rotary_inertia_x", "rotary_inertia_y", "rotary_inertia_z")
-        _convert(checks, inertias, positive_number, "rotary_inertia")
-        _convert(checks, ("damping",), non_negative_number, "time")
         where = "`rotary_inertia_x`, `_y` and `_z` of GivenSection"
         checks.relation(inertias, require_triangle, tuple(getattr(self, one) for one in inertias), where)
         for name, dimension in _EDGE.items():
@@ -402,10 +420,8 @@ def require_triangle(inertias: tuple[float, float, float], where: str) -> None:
         )
 
 
-def _convert(
-    checks: Checks, names: Collection[str], convert: Callable[[float, str, str], float], dimension: str
-) -> None:
+def _convert(checks: Checks, names: Collection[str]) -> None:
     if checks.owner.name is not None:
         checks.convert("name", require_name, "`name` of a section")
     for name in names:
-        checks.convert(name, convert, dimension, f"`{name}` of {type(checks.owner).__name__}")
+        checks.convert(name, read_number, checks.owner.numbers[name], f"`{name}` of {type(checks.owner).__name__}")

@@ -19,9 +19,8 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from rfem_jax.description.basics.errors import InputError
-from rfem_jax.description.basics.numbers import is_known
+from rfem_jax.description.basics.numbers import POSITIVE, is_known, value_of
 from rfem_jax.description.mechanism.mechanism import Mechanism
-from rfem_jax.description.parameters.number_fields import POSITIVE
 from rfem_jax.description.parameters.parameters import Parameter, named_parameters
 from rfem_jax.description.parameters.parts import Parts, number_at, parts_of
 from rfem_jax.mechanics.model import discretisation
@@ -36,6 +35,7 @@ ITERATIONS = 20
 DIFFERENCE = 1e-6  # m or rad, of a derivative
 LARGEST_STEP = 0.5  # m or rad
 CLOSED = 1e-12  # m
+SHORTEST = 0.02  # link, of the first guess of its length
 SMALLEST_CHANGE = 1e-8  # of an equation of loops, relative
 
 
@@ -54,11 +54,11 @@ def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | No
     not ask for the minimum-norm ones; for traced numbers that are no parameters, and for places on flexible links of
     which no value is known.
     """
-    if not any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(mechanism)):
-        return discretisation.discretise(mechanism, rfes, elements)
-    _require_known_places(mechanism)
-    nominal = _with_stand_ins(mechanism)
-    model = discretisation.discretise(nominal, rfes, elements)
+    with jax.ensure_compile_time_eval():  # arrays of known numbers are known within jax.jit, too
+        if not any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(mechanism, is_leaf=callable)):
+            return discretisation.discretise(mechanism, rfes, elements)
+        _require_known_places(mechanism)
+        model = discretisation.discretise(_with_stand_ins(mechanism), rfes, elements)
     source = source_in(model)
     values = _traced_values(mechanism, source.blueprint.names.all)
     if not values:
@@ -84,7 +84,7 @@ def _traced_values(mechanism: Mechanism, parameters: tuple[Parameter, ...]) -> d
                 )
             values[one.full] = jnp.asarray(found[0], jnp.float64)
             used |= set(map(id, found))
-    for path, leaf in jax.tree.leaves_with_path(mechanism):
+    for path, leaf in jax.tree.leaves_with_path(mechanism, is_leaf=callable):
         if isinstance(leaf, Tracer) and id(leaf) not in used:
             raise InputError(
                 f"Argument `mechanism` must have numbers that are known before compilation where no parameter is, but "
@@ -112,25 +112,24 @@ def _require_known_places(mechanism: Mechanism) -> None:
 
 def _with_stand_ins(mechanism: Mechanism) -> Mechanism:
     """The mechanism with floats in the places of traced numbers: their values, or others as far as none are known."""
-    leaves, tree = jax.tree.flatten(mechanism)
+    leaves, tree = jax.tree.flatten(mechanism, is_leaf=callable)
     traced = {id(leaf): leaf for leaf in leaves if isinstance(leaf, jax.Array)}
     # Not alike, so that sections of one name, but of different traced numbers, are not taken for one.
-    numbers = {key: float(x) if is_known(x) else 1.0 + 0.01 * n for n, (key, x) in enumerate(traced.items())}
+    known = {key: value for key, x in traced.items() if (value := value_of(x)) is not None}
+    numbers = {key: known.get(key, 1.0 + 0.01 * n) for n, key in enumerate(traced)}
 
     def filled(more: dict[int, float]) -> Mechanism:
         return tree.unflatten([{**numbers, **more}.get(id(leaf), leaf) for leaf in leaves])
 
-    unknown = {key for key, x in traced.items() if not is_known(x)}
-    known_lengths = [float(link.length) for link in mechanism.links if is_known(link.length)]
+    distances = [link.length for link in mechanism.links]
+    distances += [x for joint in mechanism.joints for x in joint.position or ()]
+    longest = max((abs(value) for x in distances if (value := value_of(x)) is not None), default=0.0) or 1.0
     guess: dict[int, float] = {}
     nominal = filled({})
     for one, number in _placing(parts_of(mechanism), named_parameters(parts_of(nominal), nominal.driven_motions).all):
-        if id(number) in unknown:
-            guess[id(number)] = max(known_lengths, default=1.0) if one.sign == POSITIVE else 0.0
-    lengths = {id(link.length) for link in mechanism.links}
-    found = guess if not mechanism.cut_joints else _closing(guess, filled)
-    possible = all(found[key] > 0.0 for key in guess if key in lengths)
-    return filled(found if possible else guess)
+        if id(number) in traced and id(number) not in known:
+            guess[id(number)] = longest if one.sign == POSITIVE else 0.0
+    return filled(_closing(guess, filled) if mechanism.cut_joints else guess)
 
 
 def _placing(parts: Parts, parameters: tuple[Parameter, ...]) -> Iterator[tuple[Parameter, Any]]:
@@ -151,12 +150,13 @@ def _closing(guess: dict[int, float], filled: Callable[[dict[int, float]], Mecha
         return gaps(geometry, place(geometry, np.asarray(model.start_joints))).residual * geometry.scale
 
     values, steps = np.array(list(guess.values())), DIFFERENCE * np.eye(len(guess))
+    shortest_length = np.where(values > 0.0, SHORTEST * values, -np.inf)  # the guess of other numbers is zero
     for _ in range(ITERATIONS if guess else 0):
         now = opening(values)
         slopes = np.stack([opening(values + step) - now for step in steps], axis=1) / DIFFERENCE
         change = shortest(slopes, now, SMALLEST_CHANGE)
         largest = np.abs(change).max()
-        values = values - change * min(1.0, LARGEST_STEP / max(largest, LARGEST_STEP))
+        values = np.maximum(values - change * min(1.0, LARGEST_STEP / max(largest, LARGEST_STEP)), shortest_length)
         if largest < CLOSED:
             break
     return dict(zip(guess, values.tolist(), strict=True))
