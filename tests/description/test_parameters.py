@@ -114,6 +114,9 @@ def test_a_mistake_in_the_drive_is_said_once(tmp_path):
 
 def test_many_numbers_are_put_in_as_one_by_one_and_nothing_else_changes():
     mechanism = chain_with_forces()
+    # Functions, whose numbers are the user's, are equal only to themselves.
+    plain = [force for force in mechanism.forces if not hasattr(force, "function")]
+    mechanism = dataclasses.replace(mechanism, forces=plain)
     parts = parts_of(mechanism)
     paths = [path for one in parameters_of(mechanism).all for path in one.paths if not one.factor]
     values = {path: float(i) for i, path in enumerate(paths)}

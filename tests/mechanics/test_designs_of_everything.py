@@ -207,7 +207,7 @@ def _with_spring(whole, path, parameter, value):
         table = getattr(joint.compliance, field)
         value = {**table, "forces": [value * force for force in table["forces"]]}
     springs = dataclasses.replace(joint.compliance, **{field: value})
-    return with_numbers(whole, {path[:2]: dataclasses.replace(joint, compliance=springs)})
+    return with_numbers(whole, {("joints", path[1]): dataclasses.replace(joint, compliance=springs)})
 
 
 def leaves_of(model):
