@@ -8,7 +8,7 @@ places, and the same formulas are then operations of JAX.
 """
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
 from functools import partial
 from typing import Any
@@ -50,13 +50,13 @@ class NumberTree:
         return other
 
 
-def _flatten(thing: Any) -> tuple[list[tuple[GetAttrKey, Any]], tuple]:
+def _flatten(thing: Any) -> tuple[list[tuple[Any, Any]], tuple]:
     values = [(field.name, getattr(thing, field.name)) for field in fields(thing)]
     numbers = [(GetAttrKey(name), value) for name, value in values if not _is_static(value)]
     return numbers, tuple((name, value if _is_static(value) else NumberTree) for name, value in values)
 
 
-def _unflatten(kind: type, static: tuple, numbers: Sequence[Any]) -> Any:
+def _unflatten(kind: type, static: tuple, numbers: Iterable[Any]) -> Any:
     thing, left = object.__new__(kind), iter(numbers)
     for name, value in static:
         object.__setattr__(thing, name, next(left) if value is NumberTree else value)
