@@ -14,12 +14,13 @@ implicit     residual of the equations for given accelerations, its Newton incre
 statics      assembled start state and preload; other numbers of a model (designs)
 """
 
-from rfem_jax.mechanics.model.discretisation import Structure, describe, discretise
+from rfem_jax.mechanics.model.discretisation import Structure, describe
 from rfem_jax.mechanics.model.errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.model.model import Coordinates, Model, State
 from rfem_jax.mechanics.model.status import STATUS
 from rfem_jax.mechanics.statics.assembly import Assembled, Load, assemble
 from rfem_jax.mechanics.statics.designs import Design, design, designed, parameters
+from rfem_jax.mechanics.statics.traced_descriptions import discretise
 
 __all__ = [
     "STATUS",

@@ -113,7 +113,7 @@ def test_only_what_is_near_is_suggested(name, known, expected):
 def test_a_traced_number_is_no_large_one():
     import jax
 
-    from rfem_jax.description import Rectangle
+    from rfem_jax.description import Bearing
 
     with pytest.raises(InputError, match="known before compilation"):
-        jax.jit(lambda x: Rectangle(x, 0.01).width)(0.01)
+        jax.jit(lambda x: Bearing(dynamic_capacity=x).dynamic_capacity)(1e3)

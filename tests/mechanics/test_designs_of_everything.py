@@ -37,7 +37,7 @@ from rfem_jax import (
     parameters,
 )
 from rfem_jax.description.parameters.parameters import parameters_of
-from rfem_jax.description.parameters.parts import number_at, parts_of, scaled, with_number
+from rfem_jax.description.parameters.parts import number_at, parts_of, scaled, with_numbers
 from rfem_jax.mechanics.model.building import PartStructure, arrays_of
 from rfem_jax.mechanics.statics.designs import _plan_of, designed
 from tests.mechanisms import STEEL, TABLE
@@ -184,9 +184,10 @@ def with_values(mechanism, values):
                 whole = _with_spring(whole, path, parameter, value)
                 continue
             if path[0] == "joints" and number_at(whole, path[:3]) is None:
-                whole = with_number(whole, path[:3], (0.0, 0.0, 0.0))
+                joint = dataclasses.replace(number_at(whole, path[:2]), **{path[2]: (0.0, 0.0, 0.0)})
+                whole = with_numbers(whole, {path[:2]: joint})
             factor = scaled(number_at(whole, path), value) if parameter.factor else value
-            whole = with_number(whole, path, factor)
+            whole = with_numbers(whole, {path: factor})
     links = [_with_derived_factor(link, before) for link, before in zip(whole.links, mechanism.links, strict=True)]
     return dataclasses.replace(whole, links=links)
 
@@ -206,7 +207,7 @@ def _with_spring(whole, path, parameter, value):
         table = getattr(joint.compliance, field)
         value = {**table, "forces": [value * force for force in table["forces"]]}
     springs = dataclasses.replace(joint.compliance, **{field: value})
-    return with_number(whole, ("joints", path[1]), dataclasses.replace(joint, compliance=springs))
+    return with_numbers(whole, {("joints", path[1]): dataclasses.replace(joint, compliance=springs)})
 
 
 def leaves_of(model):

@@ -10,6 +10,7 @@ that a rate in "Hz" or a length in "deg" is refused. SI units, angles in radians
 import math
 import numbers
 import re
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -155,9 +156,12 @@ def non_negative_quantity(value: Quantity, dimension: str, where: str) -> float:
     return number
 
 
-def vector(value: Quantities, dimension: str, where: str) -> tuple[float, float, float]:
-    """Return three quantities, along (or about) x, y and z, as a tuple of floats in SI units."""
-    components = sequence(value, dimension, where)
+def vector(
+    value: Quantities, dimension: str, where: str, read: Callable[[Any, str, str], float] = quantity
+) -> tuple[float, float, float]:
+    """Return three quantities, along (or about) x, y and z, as a tuple of floats in SI units, or of what `read` makes
+    of each."""
+    components = sequence(value, dimension, where, read)
     if len(components) != 3:
         raise InputError(
             f"{subject(where)} must have three components (x, y, z), but has {len(components)}; write it as [x, y, z]."
@@ -166,12 +170,15 @@ def vector(value: Quantities, dimension: str, where: str) -> tuple[float, float,
     return x, y, z
 
 
-def sequence(value: Quantities, dimension: str, where: str) -> tuple[float, ...]:
-    """Return a list of quantities of one dimension as a tuple of floats in SI units."""
+def sequence(
+    value: Quantities, dimension: str, where: str, read: Callable[[Any, str, str], float] = quantity
+) -> tuple[float, ...]:
+    """Return a list of quantities of one dimension as a tuple of floats in SI units, or of what `read` makes of
+    each."""
     if not isinstance(value, (list, tuple)) and not getattr(value, "ndim", 0):
         raise InputError(f"{subject(where)} must be a list of numbers, but was {value!r}; write it in square brackets.")
     name = where if "`" in where else f"`{where}`"
-    return tuple(quantity(entry, dimension, f"{name} (entry {index})") for index, entry in enumerate(value, start=1))
+    return tuple(read(entry, dimension, f"{name} (entry {index})") for index, entry in enumerate(value, start=1))
 
 
 def _in_unit(number: float, unit: str) -> str:
@@ -203,8 +210,8 @@ def _as_float(value: Any, where: str) -> float:
     except TypeError:  # a traced value, a complex array
         raise InputError(
             f"{subject(where)} must be a number known before compilation, but was {value!r}; "
-            "give it outside `jit`, and vary instead assembly errors, length errors among them, or what leaves "
-            "the geometry of the model as it is: its `section`, point masses and `gravity`."
+            "give it outside `jit`: traced may be assembly errors, and the numbers of a mechanism that "
+            "`rfem_jax.parameters` names."
         ) from None
 
 

@@ -13,9 +13,10 @@ from jaxtyping import Array, Float, Int
 
 from rfem_jax.description.basics.errors import ABSENT, Checks, InputError, require_choice, require_name, subject
 from rfem_jax.description.basics.joint_kinds import KINDS
+from rfem_jax.description.basics.numbers import number
 from rfem_jax.description.basics.own_functions import as_tree, checked_function
 from rfem_jax.description.basics.precision import require_float64
-from rfem_jax.description.basics.units import Quantities, quantity, sequence
+from rfem_jax.description.basics.units import Quantities, sequence
 
 Scalar = Float[Array, ""]
 Time = int | float | Float[Array | np.ndarray, ""]
@@ -44,14 +45,8 @@ def _motion(motion: Any) -> str | None:
 
 def leaf(value: Any, dimension: str, where: str) -> Scalar:
     """A float64 scalar array; a traced value stays traced, so that it can be differentiated."""
-    if isinstance(value, Tracer):
-        if value.shape != () or value.dtype != jnp.float64:
-            raise InputError(
-                f"{subject(where)} must be a float64 scalar, but has the type {value.dtype} and "
-                f"the shape {value.shape}; convert it first."
-            )
-        return value
-    return jnp.asarray(np.asarray(quantity(value, dimension, where), float), jnp.float64)
+    found = number(value, dimension, where)
+    return found if isinstance(found, Tracer) else jnp.asarray(np.asarray(found, float), jnp.float64)
 
 
 def column(values: Any, dimension: str, where: str, times: Any) -> Float[Array, " times"]:

@@ -7,6 +7,7 @@ Source: theory (8.15) and (8.16); ISO 281 (dynamic capacity, life), ISO 76 (stat
 from dataclasses import dataclass
 
 from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError, require_choice
+from rfem_jax.description.basics.numbers import NumberTree
 from rfem_jax.description.basics.units import Quantity, positive_quantity
 
 # Exponent of the load in the life of rolling bearings, as a fraction (ISO 281).
@@ -15,7 +16,7 @@ CAPACITIES = {"dynamic_capacity": "force", "static_capacity": "force", "moment_c
 
 
 @dataclass(frozen=True)
-class Bearing(ChecksItself):
+class Bearing(NumberTree, ChecksItself):
     """What the bearing of a joint carries; at least one capacity.
 
     Args:

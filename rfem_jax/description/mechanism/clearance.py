@@ -12,21 +12,30 @@ from typing import Any
 
 from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError, require_choice
 from rfem_jax.description.basics.iso_fits import clearance_fit, is_fit
-from rfem_jax.description.basics.units import Quantity, non_negative_quantity, positive_quantity
+from rfem_jax.description.basics.numbers import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    Fields,
+    NumberTree,
+    is_known,
+    non_negative_number,
+    positive_number,
+)
+from rfem_jax.description.basics.units import Quantity, positive_quantity
 
 PINS = ("child", "parent")
-_LENGTHS = {"axial": non_negative_quantity, "length": positive_quantity}
+_LENGTHS = {"axial": non_negative_number, "length": positive_number}
 _OPTIONAL = {  # of what may be left out: how it is read, and its dimension
-    "diameter": (positive_quantity, "length"),
-    "damping": (non_negative_quantity, "contact_damping"),
-    "restitution": (non_negative_quantity, "none"),
-    "friction": (non_negative_quantity, "none"),
-    "sliding_speed": (positive_quantity, "speed"),
+    "diameter": (positive_number, "length"),
+    "damping": (non_negative_number, "contact_damping"),
+    "restitution": (non_negative_number, "none"),
+    "friction": (non_negative_number, "none"),
+    "sliding_speed": (positive_number, "speed"),
 }
 
 
 @dataclass(frozen=True)
-class Clearance(ChecksItself):
+class Clearance(NumberTree, ChecksItself):
     """The play of a pin in its bush: two contacts at the pin's ends and an axial stop in its middle.
 
     A contact that is pressed in by delta and goes on at the rate delta' pushes with K delta^n (1 + chi delta'), and
@@ -89,16 +98,33 @@ class Clearance(ChecksItself):
             checks.convert("axial_exponent", _exponent, f"`axial_exponent` {of}")
         for name, exponent in (("stiffness", "exponent"), ("axial_stiffness", "axial_exponent")):
             if getattr(self, name) is not None and checks.passed("exponent", exponent):
-                checks.convert(name, positive_quantity, stiffness_dimension(self, name), f"`{name}` {of}")
+                checks.convert(name, positive_number, stiffness_dimension(self, name), f"`{name}` {of}")
         for name, (read, dimension) in _OPTIONAL.items():
             if getattr(self, name) is not None:
                 checks.convert(name, read, dimension, f"`{name}` {of}")
-        checks.convert("slowest_approach", positive_quantity, "speed", f"`slowest_approach` {of}")
+        checks.convert("slowest_approach", positive_number, "speed", f"`slowest_approach` {of}")
         checks.convert("pin", require_choice, PINS, f"`pin` {of}")
-        checks.convert("centring", positive_quantity, "stiffness", f"`centring` {of}")
+        checks.convert("centring", positive_number, "stiffness", f"`centring` {of}")
         checks.relation(("exponent", "axial_exponent"), self._check_axial)
         checks.relation(("damping", "restitution"), self._check_dampers)
         checks.relation(("friction", "diameter", "sliding_speed"), self._check_friction)
+
+    @property
+    def numbers(self) -> Fields:
+        """Its numbers; the dimensions of stiffnesses follow from its exponents."""
+        return {
+            "radial": ("length", NOT_NEGATIVE),
+            "axial": ("length", NOT_NEGATIVE),
+            "length": ("length", POSITIVE),
+            "diameter": ("length", POSITIVE),
+            **{name: (stiffness_dimension(self, name), POSITIVE) for name in ("stiffness", "axial_stiffness")},
+            "damping": ("contact_damping", NOT_NEGATIVE),
+            "restitution": ("none", NOT_NEGATIVE),
+            "slowest_approach": ("speed", POSITIVE),
+            "friction": ("none", NOT_NEGATIVE),
+            "sliding_speed": ("speed", POSITIVE),
+            "centring": ("stiffness", POSITIVE),
+        }
 
     @property
     def of_stop(self) -> tuple[Any, Any]:
@@ -120,7 +146,7 @@ class Clearance(ChecksItself):
                 "fixed chi or the one that follows from restitution and the speed of approach."
             )
         restitution: Any = self.restitution
-        if restitution is not None and restitution > 1.0:
+        if restitution is not None and is_known(restitution) and restitution > 1.0:
             raise InputError(
                 f"Argument `restitution` of a clearance must be at most 1, but was {restitution}; 1 loses nothing."
             )
@@ -143,7 +169,7 @@ def _radial(value: Any, where: str) -> Any:
     """A radial clearance [m], of a fit the middle one."""
     if is_fit(value):
         return clearance_fit(value, "radial").radial[0]
-    return non_negative_quantity(value, "length", where)
+    return non_negative_number(value, "length", where)
 
 
 def _exponent(value: Any, where: str) -> float:

@@ -15,7 +15,8 @@ import numpy as np
 
 from rfem_jax.description.basics.errors import InputError, Problems, suggestion
 from rfem_jax.description.basics.joint_kinds import JointKind
-from rfem_jax.description.basics.units import Quantity, non_negative_quantity, positive_quantity, sequence
+from rfem_jax.description.basics.numbers import NumberTree, is_known, non_negative_number, positive_number
+from rfem_jax.description.basics.units import Quantity, sequence
 
 if TYPE_CHECKING:
     Stiffness = Quantity | Mapping[str, Any] | None
@@ -27,7 +28,7 @@ _DAMPING = "_damping"
 
 
 @dataclass(frozen=True)
-class SprungDirection:
+class SprungDirection(NumberTree):
     """A spring of a joint: its name, the motions that it acts on, stiffness [N/m, N m/rad] or a table (positions
     [m, rad], forces [N, N m]) of both senses, and damping [N s/m, N m s/rad]."""
 
@@ -45,7 +46,7 @@ class SprungDirection:
 
 
 @dataclass(frozen=True)
-class Compliance:
+class Compliance(NumberTree):
     """Stiffness and damping of a joint in directions that its kind holds; a direction that is left out stays rigid.
 
     A stiffness is a number, or a table { positions = [...], forces = [...] } of the force (moment) that displaces by a
@@ -103,7 +104,7 @@ class Compliance:
         for name in (field.name for field in fields(self) if not field.name.endswith(_DAMPING)):
             stiffness, damping = getattr(self, name), getattr(self, name + _DAMPING)
             with problems.noted():
-                if stiffness is not None or damping != 0.0:
+                if stiffness is not None or not is_known(damping) or damping != 0.0:
                     self._require_direction(kind, cut, name, of)
                     found.append(self._spring(name, kind.directions[name], stiffness, damping, of))
         problems.refuse()
@@ -162,9 +163,9 @@ class Compliance:
             )
         what = f"{self._table}.{key}"
         where = f"`{what}` {of}"
-        size = non_negative_quantity(damping, f"{turns}damping", f"`{self._damping_key(name)}` {of}")
+        size = non_negative_number(damping, f"{turns}damping", f"`{self._damping_key(name)}` {of}")
         if not isinstance(stiffness, Mapping):
-            return SprungDirection(name, motions, positive_quantity(stiffness, f"{turns}stiffness", where), size)
+            return SprungDirection(name, motions, positive_number(stiffness, f"{turns}stiffness", where), size)
         if set(stiffness) != {"positions", "forces"}:
             raise InputError(
                 f"Argument {where} must be a stiffness or a table with `positions` and `forces`, but was "

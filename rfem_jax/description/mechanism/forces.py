@@ -12,21 +12,15 @@ Source: theory (3.14) to (3.17); of friction (12.1) to (12.5).
 import abc
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError, require_choice, require_name
 from rfem_jax.description.basics.joint_kinds import KINDS, Freedom
+from rfem_jax.description.basics.numbers import ANY, NOT_NEGATIVE, POSITIVE, Fields, NumberTree, is_known, read_number
 from rfem_jax.description.basics.own_functions import as_tree, checked_function
-from rfem_jax.description.basics.units import (
-    Quantities,
-    Quantity,
-    non_negative_quantity,
-    positive_quantity,
-    quantity,
-    sequence,
-)
+from rfem_jax.description.basics.units import Quantities, Quantity, sequence
 from rfem_jax.description.drives.driven_motions import plain_motion
 from rfem_jax.description.mechanism.joints import Joint
 
@@ -40,9 +34,10 @@ FRICTION_LAWS = ("tanh", "brown_mcphee")
 FRICTION_KINDS = ("revolute", "prismatic", "cylindrical")
 
 
-class Force(abc.ABC):
+class Force(abc.ABC, NumberTree):
     """A force that a mechanism holds: along joints, or at points of links (`point_forces`)."""
 
+    numbers: ClassVar[Fields] = {}
     name: str
 
 
@@ -56,6 +51,11 @@ class JointForce(Force):
     def resolved(self, joint: Joint) -> "JointForce":
         """The force with numbers in SI units, and the name of its motion, on its joint; raises InputError if something
         does not fit the joint."""
+
+    def numbers_along(self, freedom: Freedom) -> Fields:
+        """Its numbers, whose dimensions are those along a coordinate of a joint."""
+        del freedom
+        return self.numbers
 
     def coordinate(self, joint: Joint) -> int:
         """Index of the motion among the coordinates of its joint."""
@@ -92,16 +92,15 @@ class JointSpring(ChecksItself, JointForce):
         _check_names(checks)
 
     def resolved(self, joint: Joint) -> "JointSpring":
-        freedom = _freedom_of(self, joint)
-        of = f"of force `{self.name}`"
-        return replace(
-            self,
-            stiffness=non_negative_quantity(self.stiffness, _dimension(freedom, "stiffness"), f"`stiffness` {of}"),
-            damping=non_negative_quantity(self.damping, _dimension(freedom, "damping"), f"`damping` {of}"),
-            rest=quantity(self.rest, freedom.dimension, f"`rest` {of}"),
-            preload=quantity(self.preload, _dimension(freedom, "force"), f"`preload` {of}"),
-            motion=_motion_of(self, joint),
-        )
+        return replace(self, **_read_numbers(self, _freedom_of(self, joint)), motion=_motion_of(self, joint))
+
+    def numbers_along(self, freedom: Freedom) -> Fields:
+        return {
+            "stiffness": (_dimension(freedom, "stiffness"), NOT_NEGATIVE),
+            "damping": (_dimension(freedom, "damping"), NOT_NEGATIVE),
+            "rest": (freedom.dimension, ANY),
+            "preload": (_dimension(freedom, "force"), ANY),
+        }
 
 
 @dataclass(frozen=True)
@@ -246,31 +245,29 @@ class JointFriction(ChecksItself, JointForce):
                 f"Argument `joint` of force `{self.name}` must not tilt, or must be cut, for friction about its axis, "
                 f"but the tilt of `{joint.name}` is sprung; leave `tilt` out of its compliance, or cut it."
             )
-        about = freedom.rotation
-        dimensions = {
-            "coefficient": "none",
-            "radius": "length",
-            "length": "length",
-            "constant": _dimension(freedom, "force"),
-            "viscous": _dimension(freedom, "damping"),
-            "sliding_rate": "rate" if about else "speed",
-            "static_coefficient": "none",
-            "static_constant": _dimension(freedom, "force"),
-            "load_scale": "force",
-        }
-        found = {}
-        for name, dimension in dimensions.items():
-            read = positive_quantity if name in _POSITIVE else non_negative_quantity
-            value = getattr(self, name)
-            found[name] = None if value is None else read(value, dimension, f"`{name}` of force `{self.name}`")
+        found = _read_numbers(self, freedom)
         for name in ("coefficient", "constant"):
             static, sliding = found[f"static_{name}"], found[name]
-            if static is not None and static < sliding:
+            if static is not None and is_known(static, sliding) and static < sliding:
                 raise InputError(
                     f"Argument `static_{name}` of force `{self.name}` must be at least `{name}` ({sliding:g}), but was "
                     f"{static:g}; friction does not grow with the rate, but for its viscous part."
                 )
         return replace(self, **found, motion=_motion_of(self, joint))
+
+    def numbers_along(self, freedom: Freedom) -> Fields:
+        force = _dimension(freedom, "force")
+        return {
+            "coefficient": ("none", NOT_NEGATIVE),
+            "radius": ("length", POSITIVE),
+            "length": ("length", POSITIVE),
+            "constant": (force, NOT_NEGATIVE),
+            "viscous": (_dimension(freedom, "damping"), NOT_NEGATIVE),
+            "sliding_rate": ("rate" if freedom.rotation else "speed", POSITIVE),
+            "static_coefficient": ("none", NOT_NEGATIVE),
+            "static_constant": (force, NOT_NEGATIVE),
+            "load_scale": ("force", POSITIVE),
+        }
 
     def _check_what_is_given(self, freedom: Freedom) -> None:
         """What needs another argument comes with it, and what nothing uses does not come."""
@@ -308,7 +305,13 @@ class JointFriction(ChecksItself, JointForce):
                 )
 
 
-_POSITIVE = ("radius", "length", "sliding_rate", "load_scale")
+def _read_numbers(force: JointForce, freedom: Freedom) -> dict[str, Any]:
+    """The numbers of a force along a coordinate in SI units; None stays."""
+    given = {name: (getattr(force, name), field) for name, field in force.numbers_along(freedom).items()}
+    return {
+        name: None if value is None else read_number(value, field, f"`{name}` of force `{force.name}`")
+        for name, (value, field) in given.items()
+    }
 
 
 def _check_names(checks: Checks) -> None:

@@ -10,7 +10,7 @@ Source: theory (2.3) to (2.6), (2.14) to (2.16).
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from rfem_jax.description.basics.errors import (
     Checks,
@@ -21,15 +21,14 @@ from rfem_jax.description.basics.errors import (
     require_name,
 )
 from rfem_jax.description.basics.joint_kinds import DEFAULT, KINDS, JointKind, require_kind
-from rfem_jax.description.basics.numbers import Number
-from rfem_jax.description.basics.units import quantity, vector
+from rfem_jax.description.basics.numbers import ANY, Fields, Number, NumberTree, is_known, number, number_vector
 from rfem_jax.description.mechanism.bearings import Bearing
 from rfem_jax.description.mechanism.clearance import Clearance
 from rfem_jax.description.mechanism.compliance import Compliance, SprungDirection
 
 
 @dataclass(frozen=True)
-class Joint(ChecksItself):
+class Joint(NumberTree, ChecksItself):
     """A joint that lets its child move relative to its parent as its kind says.
 
     Args:
@@ -86,6 +85,16 @@ class Joint(ChecksItself):
     speed: float | None = None
     rates: tuple[float, ...] | None = None
 
+    # But for start values and the rates of several motions, which are parameters only of some motions.
+    numbers: ClassVar[Fields] = {
+        "position": ("length", ANY),
+        "orientation": ("angle", ANY),
+        "child_position": ("length", ANY),
+        "child_orientation": ("angle", ANY),
+        "rate": ("rate", ANY),
+        "speed": ("speed", ANY),
+    }
+
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("name", require_name, "`name` of a joint")
         of = f"of joint `{self.name}`"
@@ -94,11 +103,11 @@ class Joint(ChecksItself):
         checks.convert("child", _child, of)
         checks.relation(("parent", "child"), self._check_child, of)
         checks.convert("cut", require_flag, f"`cut` {of}")
-        for field, dimension in _VECTORS.items():
-            checks.convert(field, _vector, dimension, f"`{field}` {of}")
-        for field, dimension in {**_STARTS, **_RATES}.items():
+        for field in ("position", "orientation", "child_position", "child_orientation"):
+            checks.convert(field, _vector, self.numbers[field][0], f"`{field}` {of}")
+        for field, dimension in (("angle", "angle"), ("displacement", "length"), ("rate", "rate"), ("speed", "speed")):
             if getattr(self, field) is not None:
-                checks.convert(field, quantity, dimension, f"`{field}` {of}")
+                checks.convert(field, number, dimension, f"`{field}` {of}")
         checks.relation(("kind", "cut"), self._check_cut, of)
         if checks.passed("kind", "cut"):
             self._set_start(checks, of)
@@ -205,7 +214,8 @@ class Joint(ChecksItself):
     def require_no_rate(self, motion: str) -> None:
         """Raise InputError if an initial rate is given of a motion that a drive prescribes."""
         kind = KINDS[self.kind]
-        if self.start_rates[kind.motions.index(motion)] not in (None, 0.0):
+        rate = self.start_rates[kind.motions.index(motion)]
+        if rate is not None and not (is_known(rate) and rate == 0.0):
             raise InputError(
                 f"Argument `{self.rate_field(motion.startswith('R'))}` of joint `{self.name}` must be left out where a "
                 "drive prescribes this motion, and with it its rate, but was given; remove one of the two."
@@ -247,7 +257,7 @@ def _of_each(values: object, kind: JointKind, where: str, dimensions: Sequence[s
             f"{values!r}; write for example {[0.0] * len(freedoms)}."
         )
     entries = zip(values, dimensions, strict=True)
-    return tuple(quantity(value, one, f"{where} (entry {n})") for n, (value, one) in enumerate(entries, 1))
+    return tuple(number(value, one, f"{where} (entry {n})") for n, (value, one) in enumerate(entries, 1))
 
 
 def _kind_name(kind: object, where: str) -> str:
@@ -265,14 +275,4 @@ def _child(child: object, of: str) -> str:
 def _vector(value: Any, dimension: str, where: str) -> tuple[float, float, float] | None:
     if value is None:
         return (0.0, 0.0, 0.0) if dimension == "angle" else None
-    return vector(value, dimension, where)
-
-
-_STARTS = {"angle": "angle", "displacement": "length"}
-_RATES = {"rate": "rate", "speed": "speed"}
-_VECTORS = {
-    "position": "length",
-    "orientation": "angle",
-    "child_position": "length",
-    "child_orientation": "angle",
-}
+    return number_vector(value, dimension, where)

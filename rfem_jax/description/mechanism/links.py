@@ -8,7 +8,7 @@ Source: theory (1.3) to (1.6).
 """
 
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -20,8 +20,20 @@ from rfem_jax.description.basics.errors import (
     require_instance,
     require_name,
 )
-from rfem_jax.description.basics.numbers import Number
-from rfem_jax.description.basics.units import non_negative_quantity, positive_quantity, quantity, short, vector
+from rfem_jax.description.basics.numbers import (
+    ANY,
+    NOT_NEGATIVE,
+    POSITIVE,
+    Fields,
+    Number,
+    NumberTree,
+    is_known,
+    non_negative_number,
+    number,
+    number_vector,
+    positive_number,
+)
+from rfem_jax.description.basics.units import short
 from rfem_jax.description.mechanism.materials import Material
 from rfem_jax.description.mechanism.rigid_bodies import RigidBody
 from rfem_jax.description.mechanism.sections import (
@@ -39,7 +51,7 @@ _USUAL_RFES = 5
 
 
 @dataclass(frozen=True)
-class PointMass(ChecksItself):
+class PointMass(NumberTree, ChecksItself):
     """A mass fixed on a link (a bearing, a pin).
 
     Args:
@@ -52,8 +64,14 @@ class PointMass(ChecksItself):
     position: tuple[float, float, float]
     inertia: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
+    numbers: ClassVar[Fields] = {
+        "mass": ("mass", POSITIVE),
+        "position": ("length", ANY),
+        "inertia": ("moment_of_inertia", NOT_NEGATIVE),
+    }
+
     def _check_fields(self, checks: Checks) -> None:
-        checks.convert("mass", positive_quantity, "mass", "`mass` of a point mass")
+        checks.convert("mass", positive_number, "mass", "`mass` of a point mass")
         checks.convert("position", place_on_link, "`position` of a point mass")
         checks.convert("inertia", _inertia, "`inertia` of a point mass")
 
@@ -61,20 +79,20 @@ class PointMass(ChecksItself):
 def place_on_link(place: Any, where: str) -> tuple[float, float, float]:
     """Return a place in the frame of a link as floats [m]; else raise InputError.  A single number is x on the axis."""
     if isinstance(place, (list, tuple)) or getattr(place, "ndim", 0):
-        return vector(place, "length", where)
-    return quantity(place, "length", where), 0.0, 0.0  # a number: on the axis
+        return number_vector(place, "length", where)
+    return number(place, "length", where), 0.0, 0.0  # a number: on the axis
 
 
 def _inertia(inertia: Any, where: str) -> tuple[float, float, float]:
-    principal = vector(inertia, "moment_of_inertia", where)
+    principal = number_vector(inertia, "moment_of_inertia", where)
     for entry in principal:
-        non_negative_quantity(entry, "moment_of_inertia", where)
+        non_negative_number(entry, "moment_of_inertia", where)
     require_triangle(principal, where)
     return principal
 
 
 @dataclass(frozen=True)
-class Link(ChecksItself):
+class Link(NumberTree, ChecksItself):
     """A rigid or flexible link; its frame has x along the beam and its origin at its start.
 
     Args:
@@ -102,7 +120,7 @@ class Link(ChecksItself):
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("name", require_name, "`name` of a link", ("base",))
         of = f"of link `{self.name}`"
-        checks.convert("length", positive_quantity, "length", f"`length` {of}")
+        checks.convert("length", positive_number, "length", f"`length` {of}")
         if self.body is None:
             give = "give a rigid link one too, for its mass, or a `body`."
             kinds = Rectangle, Circle, Tube, GivenSection
@@ -145,7 +163,8 @@ class Link(ChecksItself):
             )
 
     def _check_point_mass(self, mass: PointMass, of: str) -> None:
-        if self.flexible and not 0.0 <= mass.position[0] <= self.length * (1.0 + 1e-12):
+        known = is_known(mass.position[0], self.length)
+        if self.flexible and known and not 0.0 <= mass.position[0] <= self.length * (1.0 + 1e-12):
             raise InputError(
                 f"Argument `point_masses` {of} must lie on the flexible link "
                 f"(x from 0 to {self.length} m), but one has x = {mass.position[0]} m; "

@@ -8,14 +8,25 @@ Source: theory (1.1), (1.7).
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError, require_name
-from rfem_jax.description.basics.numbers import Number
-from rfem_jax.description.basics.units import Quantity, non_negative_quantity, positive_quantity, quantity
+from rfem_jax.description.basics.numbers import (
+    ANY,
+    NOT_NEGATIVE,
+    POSITIVE,
+    Fields,
+    Number,
+    NumberTree,
+    is_known,
+    number,
+    read_number,
+)
+from rfem_jax.description.basics.units import Quantity
 
 
 @dataclass(frozen=True)
-class Material(ChecksItself):
+class Material(NumberTree, ChecksItself):
     """A linear elastic, isotropic material; numbers in SI or strings with a unit.
 
     Args:
@@ -36,6 +47,14 @@ class Material(ChecksItself):
     shear_modulus: float | None = None
     damping: float = 0.0
 
+    numbers: ClassVar[Fields] = {
+        "youngs_modulus": ("pressure", POSITIVE),
+        "density": ("density", POSITIVE),
+        "poisson_ratio": ("none", ANY),
+        "shear_modulus": ("pressure", POSITIVE),
+        "damping": ("time", NOT_NEGATIVE),
+    }
+
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("name", require_name, "`name` of a material")
         where = f"of material `{self.name}`"
@@ -45,11 +64,9 @@ class Material(ChecksItself):
                 f"Argument `poisson_ratio` {where} must be given or else `shear_modulus`, "
                 f"but {given}; give exactly one of the two."
             )
-        checks.convert("youngs_modulus", positive_quantity, "pressure", f"`youngs_modulus` {where}")
-        checks.convert("density", positive_quantity, "density", f"`density` {where}")
-        checks.convert("damping", non_negative_quantity, "time", f"`damping` {where}")
-        if self.shear_modulus is not None:
-            checks.convert("shear_modulus", positive_quantity, "pressure", f"`shear_modulus` {where}")
+        for name in ("youngs_modulus", "density", "damping", "shear_modulus"):
+            if name != "shear_modulus" or self.shear_modulus is not None:
+                checks.convert(name, read_number, self.numbers[name], f"`{name}` {where}")
         if self.poisson_ratio is not None:
             checks.convert("poisson_ratio", _poisson_ratio, f"`poisson_ratio` {where}")
 
@@ -63,7 +80,7 @@ class Material(ChecksItself):
 
 
 def _poisson_ratio(value: Quantity, where: str) -> float:
-    ratio = quantity(value, "none", where)
-    if not -1.0 < ratio <= 0.5:
+    ratio = number(value, "none", where)
+    if is_known(ratio) and not -1.0 < ratio <= 0.5:
         raise InputError(f"Argument {where} must be above -1 and at most 0.5, but was {ratio}; metals have about 0.3.")
     return ratio

@@ -23,7 +23,8 @@ from rfem_jax.description.basics.errors import (
 )
 from rfem_jax.description.basics.joint_kinds import KINDS, joint_errors, why_no_error
 from rfem_jax.description.basics.notebook_tables import mechanism_html
-from rfem_jax.description.basics.units import positive_quantity, vector
+from rfem_jax.description.basics.numbers import NumberTree, is_known, number_vector
+from rfem_jax.description.basics.units import positive_quantity
 from rfem_jax.description.drives.driven_motions import plain_motion
 from rfem_jax.description.mechanism.forces import Force, JointForce, JointFriction
 from rfem_jax.description.mechanism.joints import Joint
@@ -40,7 +41,7 @@ _ROUNDING = 1e-12  # a position at the end of a link may exceed its length by ro
 
 
 @dataclass(frozen=True)
-class Mechanism(ChecksItself):
+class Mechanism(NumberTree, ChecksItself):
     """Links and joints, checked to form a tree with cut joints.
 
     Args:
@@ -86,7 +87,7 @@ class Mechanism(ChecksItself):
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("links", _unique, Link, "links")
         checks.convert("joints", _unique, Joint, "joints")
-        checks.convert("gravity", vector, "acceleration", "gravity")
+        checks.convert("gravity", number_vector, "acceleration", "gravity")
         checks.convert("redundant_reactions", require_choice, ("refuse", "minimum_norm"), "redundant_reactions")
         if self.reaction_length is not None:
             checks.convert("reaction_length", positive_quantity, "length", "reaction_length")
@@ -344,7 +345,7 @@ class Mechanism(ChecksItself):
         flexible = {link.name: link for link in self.links if link.flexible}
         for name, field in ((joint.parent, "position"), (joint.child, "child_position")):
             link, position = flexible.get(name), getattr(joint, field)
-            if link is None or position is None:
+            if link is None or position is None or not is_known(position[0], link.length):
                 continue
             first = link.length / (2 * (link.elements - 1))
             if not 0.0 <= position[0] <= link.length * (1.0 + _ROUNDING):

@@ -11,7 +11,7 @@ import abc
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -25,8 +25,9 @@ from rfem_jax.description.basics.errors import (
     subject,
     suggestion,
 )
+from rfem_jax.description.basics.numbers import ANY, NOT_NEGATIVE, Fields, is_known, number_vector, read_number
 from rfem_jax.description.basics.own_functions import as_tree, checked_function
-from rfem_jax.description.basics.units import Quantities, Quantity, non_negative_quantity, quantity, sequence, vector
+from rfem_jax.description.basics.units import Quantities, Quantity, sequence, vector
 from rfem_jax.description.drives.arguments import checked_breakpoints, table_times
 from rfem_jax.description.mechanism.forces import Force
 from rfem_jax.description.mechanism.links import Link, place_on_link
@@ -63,7 +64,7 @@ class PointLoad(Force, ChecksItself):
                 )
             if name != "base" and links[name].flexible:
                 length = links[name].length
-                if not 0.0 <= place[0] <= length * (1.0 + _ROUNDING):
+                if is_known(place[0], length) and not 0.0 <= place[0] <= length * (1.0 + _ROUNDING):
                     raise InputError(
                         f"Argument `{self.place_argument}` of force `{self.name}` must lie on the flexible link "
                         f"`{name}` (x from 0 to {length} m), but has x = {place[0]} m; move it, or make the link rigid."
@@ -128,13 +129,17 @@ class PointSpring(BetweenPoints):
     free_length: Quantity = 0.0
     preload: Quantity = 0.0
 
+    numbers: ClassVar[Fields] = {
+        "stiffness": ("stiffness", NOT_NEGATIVE),
+        "damping": ("damping", NOT_NEGATIVE),
+        "free_length": ("length", NOT_NEGATIVE),
+        "preload": ("force", ANY),
+    }
+
     def _check_fields(self, checks: Checks) -> None:
         self._check_ends(checks)
-        of = f"of force `{self.name}`"
-        checks.convert("stiffness", non_negative_quantity, "stiffness", f"`stiffness` {of}")
-        checks.convert("damping", non_negative_quantity, "damping", f"`damping` {of}")
-        checks.convert("free_length", non_negative_quantity, "length", f"`free_length` {of}")
-        checks.convert("preload", quantity, "force", f"`preload` {of}")
+        for name, field in self.numbers.items():
+            checks.convert(name, read_number, field, f"`{name}` of force `{self.name}`")
 
 
 @dataclass(frozen=True)
@@ -202,6 +207,7 @@ class PointSpringFunction(BetweenPoints):
 class AtPoint(PointLoad):
     """A force or a moment at a point of one link: constant, or over time."""
 
+    numbers: ClassVar[Fields] = {"position": ("length", ANY)}
     link: str
     position: Place
     times: Any
@@ -352,7 +358,7 @@ def _values(values: Any, dimension: str, value: str, of: str, times: Any) -> Any
     if callable(values):
         return _function(values, of, "t, phase", (3,), ("float64", "int32"), value)
     if times is None or times is ABSENT:
-        return vector(values, dimension, where)
+        return number_vector(values, dimension, where)
     if not isinstance(values, (tuple, list, np.ndarray)) or len(values) != len(times):
         count = len(values) if isinstance(values, (tuple, list, np.ndarray)) else repr(values)
         raise InputError(

@@ -8,9 +8,10 @@ path has the link's deformation in it. Source: theory (8.17) to (8.25).
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError, require_name, suggestion
+from rfem_jax.description.basics.numbers import ANY, Fields, NumberTree, is_known
 from rfem_jax.description.basics.units import Quantity
 from rfem_jax.description.mechanism.links import Link, place_on_link
 
@@ -23,7 +24,7 @@ _ROUNDING = 1e-12  # a position at the end of a link may exceed its length by ro
 
 
 @dataclass(frozen=True)
-class Point(ChecksItself):
+class Point(NumberTree, ChecksItself):
     """A point of a link, whose path a run follows.
 
     Args:
@@ -39,6 +40,8 @@ class Point(ChecksItself):
     link: str
     position: Place
     relative_to: str = "base"
+
+    numbers: ClassVar[Fields] = {"position": ("length", ANY)}
 
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("name", require_name, "`name` of a point", ("base",))
@@ -70,7 +73,7 @@ class Point(ChecksItself):
                 "which does not move in its frame; leave it out for global axes."
             )
         x = self.place[0]
-        if link.flexible and not 0.0 <= x <= link.length * (1.0 + _ROUNDING):
+        if link.flexible and is_known(x, link.length) and not 0.0 <= x <= link.length * (1.0 + _ROUNDING):
             raise InputError(
                 f"Argument `position` {of} must lie on the flexible link `{self.link}` (x from 0 to {link.length} m), "
                 f"but has x = {x} m; move it, or make the link rigid."

@@ -6,14 +6,25 @@ Symbols: mass m [kg], centre c [m] in the link frame, inertia J [kg m^2] about t
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
+import jax
 import numpy as np
 from jaxtyping import Array, Float
 
 from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError
-from rfem_jax.description.basics.numbers import array_of, rotation_of_angles
-from rfem_jax.description.basics.units import non_negative_quantity, vector
+from rfem_jax.description.basics.numbers import (
+    ANY,
+    POSITIVE,
+    Fields,
+    NumberTree,
+    array_of,
+    is_known,
+    non_negative_number,
+    number_vector,
+    rotation_of_angles,
+    value_of,
+)
 from rfem_jax.description.mechanism.sections import require_triangle
 
 _SYMMETRY = 1e-9  # relative to the largest entry
@@ -21,7 +32,7 @@ Tensor = tuple[tuple[float, float, float], tuple[float, float, float], tuple[flo
 
 
 @dataclass(frozen=True)
-class RigidBody(ChecksItself):
+class RigidBody(NumberTree, ChecksItself):
     """Mass and inertia of a rigid link.
 
     Args:
@@ -39,15 +50,20 @@ class RigidBody(ChecksItself):
     inertia: tuple[float, float, float] | Tensor
     orientation: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
+    # But for the inertia, whose entries have names of their own, and a mass of zero, which no design changes.
+    numbers: ClassVar[Fields] = {"mass": ("mass", POSITIVE), "centre": ("length", ANY), "orientation": ("angle", ANY)}
+
     def _check_fields(self, checks: Checks) -> None:
-        checks.convert("mass", non_negative_quantity, "mass", "`mass` of a body")
-        checks.convert("centre", vector, "length", "`centre` of a body")
+        checks.convert("mass", non_negative_number, "mass", "`mass` of a body")
+        checks.convert("centre", number_vector, "length", "`centre` of a body")
         checks.convert("inertia", _inertia)
-        checks.convert("orientation", vector, "angle", "`orientation` of a body")
+        checks.convert("orientation", number_vector, "angle", "`orientation` of a body")
         checks.relation(("mass", "inertia"), self._check_inertia)
 
     def _check_inertia(self) -> None:
-        tensor, where = _as_tensor(self.inertia), "`inertia` of a body"
+        if not is_known(self.mass, self.inertia):
+            return
+        tensor, where = _as_tensor(jax.tree.map(value_of, self.inertia)), "`inertia` of a body"
         if np.abs(tensor - tensor.T).max() > _SYMMETRY * np.abs(tensor).max():
             raise InputError(
                 f"Argument {where} must be symmetric, but was {tensor.tolist()}; give the products of inertia twice, "
@@ -91,5 +107,5 @@ def _inertia(inertia: Any) -> Any:
             "for example [1e-4, 3e-4, 3e-4]."
         )
     if not any(isinstance(row, (list, tuple)) or np.ndim(row) for row in rows):
-        return vector(rows, "moment_of_inertia", where)
-    return tuple(vector(row, "moment_of_inertia", f"{where} (row {n})") for n, row in enumerate(rows, start=1))
+        return number_vector(rows, "moment_of_inertia", where)
+    return tuple(number_vector(row, "moment_of_inertia", f"{where} (row {n})") for n, row in enumerate(rows, start=1))

@@ -13,12 +13,26 @@ a section: theory (8.11); torsion of a rectangle: W. C. Young, R. G. Budynas, Ro
 
 import abc
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError, require_name
-from rfem_jax.description.basics.numbers import Number, chosen, larger, smaller
-from rfem_jax.description.basics.units import DERIVED, non_negative_quantity, positive_quantity
+from rfem_jax.description.basics.numbers import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    Fields,
+    Number,
+    NumberTree,
+    chosen,
+    is_known,
+    larger,
+    positive_number,
+    read_number,
+    smaller,
+    traced,
+)
+from rfem_jax.description.basics.units import DERIVED
 from rfem_jax.description.mechanism.materials import Material
 
 ROUND_POINTS = 32  # at the edge of a round section: the largest stress is found to within 0.5 %
@@ -50,10 +64,14 @@ class SectionProperties:
     damping: Number
 
 
-class _Shape(abc.ABC, ChecksItself):
+class _Shape(abc.ABC, NumberTree, ChecksItself):
     """A homogeneous section of known geometry; subclasses give area, I_y, I_z, J_t and kappa."""
 
+    numbers: ClassVar[Fields]
     shear_factor: float
+
+    def _check_fields(self, checks: Checks) -> None:
+        _convert(checks, self.numbers)
 
     @property
     def kappa(self) -> Number:
@@ -134,9 +152,11 @@ class Rectangle(_Shape):
     shear_factor: float = 1.2
     name: str | None = field(default=None, kw_only=True, compare=False)
 
-    def _check_fields(self, checks: Checks) -> None:
-        _convert(checks, ("width", "height"), positive_quantity, "length")
-        _convert(checks, ("shear_factor",), positive_quantity, "none")
+    numbers: ClassVar[Fields] = {
+        "width": ("length", POSITIVE),
+        "height": ("length", POSITIVE),
+        "shear_factor": ("none", POSITIVE),
+    }
 
     @property
     def area(self) -> Number:
@@ -194,9 +214,7 @@ class Circle(_Shape):
     shear_factor: float = 10.0 / 9.0
     name: str | None = field(default=None, kw_only=True, compare=False)
 
-    def _check_fields(self, checks: Checks) -> None:
-        _convert(checks, ("diameter",), positive_quantity, "length")
-        _convert(checks, ("shear_factor",), positive_quantity, "none")
+    numbers: ClassVar[Fields] = {"diameter": ("length", POSITIVE), "shear_factor": ("none", POSITIVE)}
 
     @property
     def area(self) -> Number:
@@ -227,7 +245,8 @@ class Tube(_Shape):
         outer_diameter: [m], > 0.
         wall: thickness [m], > 0 and less than half of the outer diameter.
         shear_factor: kappa [1], > 0; None = Cowper's value for nu = 0,
-            7/6 + (10/3) r^2 / (1 + r^2)^2 with r = inner / outer diameter (2 for a thin wall).
+            7/6 + (10/3) r^2 / (1 + r^2)^2 with r = inner / outer diameter (2 for a thin wall); of traced diameters it
+            stays None.
         name: a word, by which parameters of the section are named; None = they are named by the link.
     """
 
@@ -236,16 +255,22 @@ class Tube(_Shape):
     shear_factor: float = DERIVED
     name: str | None = field(default=None, kw_only=True, compare=False)
 
+    numbers: ClassVar[Fields] = {
+        "outer_diameter": ("length", POSITIVE),
+        "wall": ("length", POSITIVE),
+        "shear_factor": ("none", POSITIVE),
+    }
+
     def _check_fields(self, checks: Checks) -> None:
-        _convert(checks, ("outer_diameter", "wall"), positive_quantity, "length")
+        _convert(checks, ("outer_diameter", "wall"))
         checks.relation(("outer_diameter", "wall"), self._check_wall)
         if self.shear_factor is not None:
-            _convert(checks, ("shear_factor",), positive_quantity, "none")
-        elif checks.passed("outer_diameter", "wall"):
+            _convert(checks, ("shear_factor",))
+        elif checks.passed("outer_diameter", "wall") and not traced((self.outer_diameter, self.wall)):
             object.__setattr__(self, "shear_factor", self.derived_factor)
 
     def _check_wall(self) -> None:
-        if self.wall >= self.outer_diameter / 2.0:
+        if is_known(self.wall, self.outer_diameter) and self.wall >= self.outer_diameter / 2.0:
             raise InputError(
                 "Argument `wall` of Tube must be less than half of the outer diameter "
                 f"({self.outer_diameter / 2.0} m), but was {self.wall} m; reduce it, or use Circle."
@@ -287,7 +312,7 @@ class Tube(_Shape):
 
 
 @dataclass(frozen=True)
-class GivenSection(ChecksItself):
+class GivenSection(NumberTree, ChecksItself):
     """A section given by its own stiffnesses and inertias per unit length; takes no material.
 
     Args:
@@ -324,20 +349,24 @@ class GivenSection(ChecksItself):
     torsion_modulus: float | None = None
     name: str | None = field(default=None, kw_only=True, compare=False)
 
+    numbers: ClassVar[Fields] = {
+        **dict.fromkeys(("axial_stiffness", "shear_stiffness_y", "shear_stiffness_z"), ("axial_stiffness", POSITIVE)),
+        **dict.fromkeys(
+            ("torsion_stiffness", "bending_stiffness_y", "bending_stiffness_z"), ("bending_stiffness", POSITIVE)
+        ),
+        "line_density": ("line_density", POSITIVE),
+        **dict.fromkeys([f"rotary_inertia_{axis}" for axis in "xyz"], ("rotary_inertia", POSITIVE)),
+        "damping": ("time", NOT_NEGATIVE),
+    }
+
     def _check_fields(self, checks: Checks) -> None:
-        stiffnesses = ("axial_stiffness", "shear_stiffness_y", "shear_stiffness_z")
-        _convert(checks, stiffnesses, positive_quantity, "axial_stiffness")
-        stiffnesses = ("torsion_stiffness", "bending_stiffness_y", "bending_stiffness_z")
-        _convert(checks, stiffnesses, positive_quantity, "bending_stiffness")
-        _convert(checks, ("line_density",), positive_quantity, "line_density")
+        _convert(checks, self.numbers)
         inertias = ("rotary_inertia_x", "rotary_inertia_y", "rotary_inertia_z")
-        _convert(checks, inertias, positive_quantity, "rotary_inertia")
-        _convert(checks, ("damping",), non_negative_quantity, "time")
         where = "`rotary_inertia_x`, `_y` and `_z` of GivenSection"
         checks.relation(inertias, require_triangle, tuple(getattr(self, one) for one in inertias), where)
         for name, dimension in _EDGE.items():
             if getattr(self, name) is not None:
-                checks.convert(name, positive_quantity, dimension, f"`{name}` of GivenSection")
+                checks.convert(name, positive_number, dimension, f"`{name}` of GivenSection")
         checks.relation(tuple(_EDGE), self._check_edge)
 
     def _check_edge(self) -> None:
@@ -380,7 +409,9 @@ Section = Rectangle | Circle | Tube | GivenSection
 
 
 def require_triangle(inertias: tuple[float, float, float], where: str) -> None:
-    """Raise InputError unless no principal inertia exceeds the sum of the two others."""
+    """Raise InputError unless no principal inertia exceeds the sum of the two others, as far as these are known."""
+    if not is_known(inertias):
+        return
     largest = max(inertias)
     if largest > (sum(inertias) - largest) * (1.0 + 1e-9):
         raise InputError(
@@ -389,10 +420,8 @@ def require_triangle(inertias: tuple[float, float, float], where: str) -> None:
         )
 
 
-def _convert(
-    checks: Checks, names: Collection[str], convert: Callable[[float, str, str], float], dimension: str
-) -> None:
+def _convert(checks: Checks, names: Collection[str]) -> None:
     if checks.owner.name is not None:
         checks.convert("name", require_name, "`name` of a section")
     for name in names:
-        checks.convert(name, convert, dimension, f"`{name}` of {type(checks.owner).__name__}")
+        checks.convert(name, read_number, checks.owner.numbers[name], f"`{name}` of {type(checks.owner).__name__}")

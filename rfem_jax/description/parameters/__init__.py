@@ -1,7 +1,7 @@
 """Every number of a description by a name.
 
-parts, number_fields   where the numbers are
-parameters             their names
-design_table           the table [design]
-deviations             which errors and parameters may deviate
+parts          where the numbers are
+parameters     their names
+design_table   the table [design]
+deviations     which errors and parameters may deviate
 """

@@ -13,11 +13,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 
 from rfem_jax.description.basics.errors import ABSENT, InputError, Problems, subject, suggestion
+from rfem_jax.description.basics.numbers import ANY, POSITIVE, SIGN_WORDS
 from rfem_jax.description.basics.units import DIMENSIONS
 from rfem_jax.description.drives.driven_motions import AnyDrive, driven_motion, motion_label
 from rfem_jax.description.drives.numbers_by_name import NUMBER_DIMENSIONS, drive_number_dimension, each_drive_number
 from rfem_jax.description.mechanism.mechanism import Mechanism
-from rfem_jax.description.parameters.number_fields import ANY, POSITIVE, SIGN_WORDS
 from rfem_jax.description.parameters.parameters import parameters_of
 from rfem_jax.description.parameters.parts import parts_of
 from rfem_jax.description.tolerances.error_catalogue import error_dimension, parameters_being_read, reading_parameters

@@ -19,27 +19,18 @@ from typing import Any
 
 from rfem_jax.description.basics.errors import InputError, subject, suggestion
 from rfem_jax.description.basics.joint_kinds import KINDS, Freedom
-from rfem_jax.description.basics.units import DIMENSIONS, non_negative_quantity, positive_quantity, quantity
+from rfem_jax.description.basics.numbers import ANY, NOT_NEGATIVE, POSITIVE, Fields, read_number
+from rfem_jax.description.basics.units import DIMENSIONS
 from rfem_jax.description.mechanism.forces import Force, JointForce, JointForceTable
 from rfem_jax.description.mechanism.joints import Joint
-from rfem_jax.description.mechanism.links import Link, PointMass
+from rfem_jax.description.mechanism.links import Link
 from rfem_jax.description.mechanism.mechanism import Mechanism
 from rfem_jax.description.mechanism.point_forces import AtPoint, BetweenPoints, PointSpringTable
-from rfem_jax.description.mechanism.points import Point
 from rfem_jax.description.mechanism.rigid_bodies import RigidBody
 from rfem_jax.description.mechanism.sections import Tube
-from rfem_jax.description.parameters.number_fields import (
-    ANY,
-    BODY,
-    COMPONENTS,
-    FIELDS,
-    JOINT_FORCES,
-    NOT_NEGATIVE,
-    POINT_FORCES,
-    POSITIVE,
-    clearance_fields,
-)
 from rfem_jax.description.parameters.parts import Parts, Path, number_at, parts_of
+
+COMPONENTS = "xyz"
 
 
 @dataclass(frozen=True)
@@ -70,8 +61,7 @@ class Parameter:
 
     def read(self, value: Any, where: str) -> float:
         """A value as a number [unit]; raises InputError for one of another dimension or sign."""
-        convert = {POSITIVE: positive_quantity, NOT_NEGATIVE: non_negative_quantity, ANY: quantity}[self.sign]
-        return convert(value, self.dimension, where)
+        return read_number(value, (self.dimension, self.sign), where)
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +162,7 @@ def _parameter(
 
 
 def _fields(
-    owner: tuple[str, str], thing: Any, fields: Mapping[str, tuple[str, str]], paths: Sequence[Path], before: str = ""
+    owner: tuple[str, str], thing: Any, fields: Fields, paths: Sequence[Path], before: str = ""
 ) -> Iterator[Parameter]:
     """Parameters of the fields of a thing that are given: numbers, or three components."""
     for name, field in fields.items():
@@ -194,7 +184,7 @@ def _of_links(parts: Parts) -> Iterator[Parameter]:
             yield from _of_body(owner, link.body, (*path, "body"))
         for n, mass in enumerate(link.point_masses, start=1):
             at = (*path, "point_masses", n - 1)
-            yield from _fields(owner, mass, FIELDS[PointMass], [at], f"point_masses.{n}.")
+            yield from _fields(owner, mass, mass.numbers, [at], f"point_masses.{n}.")
     for kind in ("section", "material"):
         yield from _shared(parts.links, kind)
 
@@ -216,14 +206,14 @@ def _shared(links: Sequence[Link], kind: str) -> Iterator[Parameter]:
         if alike:
             done.add(str(thing.name))
             owner, before = (kind, str(thing.name)), ""
-        fields = dict(FIELDS[type(thing)])
+        fields = dict(thing.numbers)
         if isinstance(thing, Tube) and thing.shear_factor == thing.derived_factor:
             del fields["shear_factor"]
         yield from _fields(owner, thing, fields, [("links", n, kind) for n in users], before)
 
 
 def _of_body(owner: tuple[str, str], body: RigidBody, path: Path) -> Iterator[Parameter]:
-    yield from _fields(owner, body, BODY, [path])
+    yield from _fields(owner, body, body.numbers, [path])
     if not isinstance(body.inertia[0], tuple):
         yield from _fields(owner, body, {"inertia": ("moment_of_inertia", POSITIVE)}, [path])
         return
@@ -237,7 +227,7 @@ def _of_body(owner: tuple[str, str], body: RigidBody, path: Path) -> Iterator[Pa
 def _of_joints(parts: Parts, held: Sequence[tuple[str, str]]) -> Iterator[Parameter]:
     for j, (joint, springs) in enumerate(zip(parts.joints, parts.springs, strict=True)):
         owner, path = ("joint", joint.name), ("joints", j)
-        yield from _fields(owner, joint, FIELDS[Joint], [path])
+        yield from _fields(owner, joint, joint.numbers, [path])
         for motion in [motion for name, motion in held if name == joint.name]:
             yield _start_value(owner, joint, motion, path)
         for n, (rate, (motion, freedom)) in enumerate(zip(joint.rates or (), _numbered(joint), strict=False)):
@@ -246,8 +236,7 @@ def _of_joints(parts: Parts, held: Sequence[tuple[str, str]]) -> Iterator[Parame
             dimension = "rate" if freedom.rotation else "speed"
             yield _parameter(owner, f"rates.{motion}", (dimension, ANY), [(*path, "rates", n)])
         if joint.clearance is not None:
-            numbers = clearance_fields(joint.clearance)
-            yield from _fields(owner, joint.clearance, numbers, [(*path, "clearance")], "clearance.")
+            yield from _fields(owner, joint.clearance, joint.clearance.numbers, [(*path, "clearance")], "clearance.")
         for n, spring in enumerate(springs):
             at, turns = ("springs", j, n), "rotational_" if spring.rotation else ""
             name, table = f"compliance.{spring.name}", spring.positions is not None
@@ -299,19 +288,17 @@ def _of_load(owner: tuple[str, str], force: AtPoint, path: Path) -> Iterator[Par
     yield from _fields(owner, force, {force.dimension: (force.dimension, ANY)}, [path])
 
 
-def _force_fields(force: Force, parts: Parts) -> Mapping[str, tuple[str, str]]:
+def _force_fields(force: Force, parts: Parts) -> Fields:
     """Fields of a force that are numbers."""
-    if isinstance(force, JointForce):
-        joint = parts.joint(force.joint)
-        freedom = KINDS[joint.kind].freedoms[force.coordinate(joint)]
-        fields_along = JOINT_FORCES.get(type(force))
-        return {} if fields_along is None else fields_along(freedom)
-    return POINT_FORCES.get(type(force), {})
+    if not isinstance(force, JointForce):
+        return force.numbers
+    joint = parts.joint(force.joint)
+    return force.numbers_along(KINDS[joint.kind].freedoms[force.coordinate(joint)])
 
 
 def _of_points(parts: Parts) -> Iterator[Parameter]:
     for i, point in enumerate(parts.points):
-        yield from _fields(("point", point.name), point, FIELDS[Point], [("points", i)])
+        yield from _fields(("point", point.name), point, point.numbers, [("points", i)])
 
 
 def _of_gravity() -> Iterator[Parameter]:

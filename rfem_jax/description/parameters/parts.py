@@ -2,15 +2,16 @@
 
 Place in the pipeline: mechanism -> **parts** -> parameters, and the mechanics' `model.building`.
 
-A place in the parts is a path: names of fields, keys of tables and indices, as ("links", 0, "section", "height").
+A place in the parts is a path: names of fields and indices, as ("links", 0, "section", "height").
 """
 
-import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from rfem_jax.description.basics.numbers import Number
+import equinox as eqx
+
+from rfem_jax.description.basics.numbers import Number, NumberTree
 from rfem_jax.description.mechanism.compliance import SprungDirection
 from rfem_jax.description.mechanism.forces import Force
 from rfem_jax.description.mechanism.joints import Joint
@@ -22,7 +23,7 @@ Path = tuple[str | int, ...]
 
 
 @dataclass(frozen=True)
-class Parts:
+class Parts(NumberTree):
     """Links, joints, springs of each joint, forces, gravity [m/s^2] and points, in the order of the mechanism;
     reaction_length [m]: as of the mechanism.
 
@@ -75,36 +76,13 @@ def _with_positions(joint: Joint) -> Joint:
 def number_at(whole: Any, path: Path) -> Any:
     """What stands at a path."""
     for step in path:
-        whole = getattr(whole, str(step)) if _is_field(whole, step) else whole[step]
+        whole = getattr(whole, step) if isinstance(step, str) else whole[step]
     return whole
 
 
-def with_number(whole: Any, path: Path, value: Any) -> Any:
-    """A copy of parts with something else at a path; nothing is checked."""
-    return with_numbers(whole, {path: value})
-
-
 def with_numbers(whole: Any, values: Mapping[Path, Any]) -> Any:
-    """A copy of parts with something else at several paths, none of which is within another; nothing is checked.
-
-    What stands around them is copied once: one by one, thousands of numbers would copy all forces thousands of times.
-    """
-    by_step: dict[str | int, dict[Path, Any]] = {}
-    for path, value in values.items():
-        by_step.setdefault(path[0], {})[path[1:]] = value
-    new = {step: _changed(number_at(whole, (step,)), inside) for step, inside in by_step.items()}
-    if isinstance(whole, Mapping):
-        return {**whole, **new}
-    if isinstance(whole, Sequence):
-        return tuple(new.get(i, one) for i, one in enumerate(whole))
-    other = copy.copy(whole)
-    for step, value in new.items():
-        object.__setattr__(other, str(step), value)
-    return other
-
-
-def _changed(inside: Any, values: dict[Path, Any]) -> Any:
-    return values[()] if () in values else with_numbers(inside, values)
+    """A copy of parts with other numbers, or tables, at several paths; nothing is checked."""
+    return eqx.tree_at(lambda tree: [number_at(tree, path) for path in values], whole, list(values.values()))
 
 
 def renamed_parts(parts: Parts, names: Any) -> Parts:
@@ -123,23 +101,18 @@ def renamed_parts(parts: Parts, names: Any) -> Parts:
 
 
 def _with_shared(link: Link, names: Any) -> Link:
-    for kind in ("section", "material"):
-        if getattr(link, kind) is not None:
-            link = with_number(link, (kind,), _renamed(getattr(link, kind), ("name",), names))
-    return link
+    shared = {kind: getattr(link, kind) for kind in ("section", "material")}
+    return link.with_fields(**{kind: one and _renamed(one, ("name",), names) for kind, one in shared.items()})
 
 
 def _renamed(thing: Any, fields: Sequence[str], names: Any) -> Any:
-    for name in fields:
-        value = getattr(thing, name, None)
-        if value is not None:
-            new = names.of(value) if isinstance(value, str) else tuple(map(names.of, value))
-            thing = with_number(thing, (name,), new)
-    return thing
-
-
-def _is_field(whole: Any, step: str | int) -> bool:
-    return isinstance(step, str) and not isinstance(whole, Mapping)
+    given = {name: getattr(thing, name, None) for name in fields}
+    changed = {
+        name: names.of(value) if isinstance(value, str) else tuple(map(names.of, value))
+        for name, value in given.items()
+        if value is not None
+    }
+    return thing.with_fields(**changed)
 
 
 def scaled(values: Any, factor: Number) -> Any:

@@ -29,7 +29,6 @@ from rfem_jax.description.parameters.parts import (
     number_at,
     renamed_parts,
     scaled,
-    with_number,
     with_numbers,
 )
 
@@ -131,21 +130,18 @@ def _drop_derived_numbers(parts: Parts) -> Parts:
     links, joints = [], []
     for link in parts.links:
         if isinstance(link.section, Tube) and link.section.shear_factor == link.section.derived_factor:
-            link = with_number(link, ("section", "shear_factor"), None)
+            link = link.with_fields(section=link.section.with_fields(shear_factor=None))
         links.append(link)
     for joint in parts.joints:
-        for name, zero in (("angle", 0.0), ("displacement", 0.0), ("start", scaled(joint.start, 0.0))):
-            if getattr(joint, name) is not None:
-                joint = with_number(joint, (name,), zero)
+        zeros = {"angle": 0.0, "displacement": 0.0, "start": scaled(joint.start, 0.0)}
+        given = {name: zero for name, zero in zeros.items() if getattr(joint, name) is not None}
         # Its springs are parts of their own.
-        joints.append(with_number(joint, ("compliance",), None))
+        joints.append(joint.with_fields(**given, compliance=None))
     return replace(parts, links=tuple(links), joints=tuple(joints), forces=tuple(map(_zero_arrays, parts.forces)))
 
 
 def _zero_arrays(force: Force) -> Force:
     """A force with zeros for the arrays that a function of the user holds, which may be traced and are the model's."""
-    for name in vars(force):
-        if callable(function := getattr(force, name)):
-            blank = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), function)
-            force = with_number(force, (name,), blank)
-    return force
+    functions = {name: value for name, value in vars(force).items() if callable(value)}
+    blank = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), functions)
+    return force.with_fields(**blank)

@@ -26,9 +26,9 @@ from jaxtyping import ArrayLike, Bool, Float, Int
 
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.basics.numbers import ANY, POSITIVE, SIGN_WORDS
 from rfem_jax.description.drives.numbers_by_name import read_drive_number
 from rfem_jax.description.mechanism.sections import Tube
-from rfem_jax.description.parameters.number_fields import ANY, POSITIVE, SIGN_WORDS
 from rfem_jax.description.parameters.parameters import Parameter, require_each_once
 from rfem_jax.description.parameters.parts import Parts
 from rfem_jax.description.study_file.study import Study
