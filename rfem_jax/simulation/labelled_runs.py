@@ -57,7 +57,7 @@ def run_dataset(run: Run, cases: Sequence[str] | None = None) -> Dataset:
     """Everything that a run has, with named dimensions, units and long names.
 
     Args: run, one or a batch with one leading axis; cases, the names along it (None: their numbers).
-    Raises: InputError for a batch with several axes; ModuleNotFoundError without xarray.
+    Raises: InputError for a batch with several axes.
     """
     axes = np.ndim(run.status)
     if axes > 1:
@@ -265,7 +265,7 @@ def require_one(run: Run) -> None:
 
 
 def run_frame(run: Run) -> DataFrame:
-    """`joint_rows` as a DataFrame, by joint. Raises: InputError for a batch; ModuleNotFoundError without pandas."""
+    """`joint_rows` as a DataFrame, by joint. Raises: InputError for a batch."""
     require_one(run)
     return frame(joint_rows(run), ["joint"])
 
