@@ -1,8 +1,8 @@
 """Results as labelled data: what a kind of result gives, and the forms that are made of it.
 
-Place in the pipeline: beside all packages; the results of tolerancing are `LabelledResult`s, and `Run` (simulation)
-describes its arrays as they do. xarray, and with it pandas, is imported when a result becomes a Dataset or a DataFrame:
-that takes as long as a quarter of a short command, which needs neither.
+Place in the pipeline: beside all packages, and imports none of them; results of tolerancing are `LabelledResult`s, and
+`Run` (simulation) describes its arrays as they do. xarray, and with it pandas, is imported when a result becomes a
+Dataset or a DataFrame: that takes as long as a quarter of a short command, which needs neither.
 
 Datasets can be written to netCDF (`dataset.to_netcdf(path, engine="scipy")`): attributes are strings and numbers,
 names are strings, and there are no objects.
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from rfem_jax import rich_text
+from rfem_jax.rich_text import document, paragraph, table
 from rfem_jax.text_layout import align_columns, wrap_lines
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ class Table:
 
     def html(self) -> str:
         """For a notebook."""
-        return rich_text.table(self.header, self.rows, self.words)
+        return table(self.header, self.rows, self.words)
 
 
 Parts = Sequence[str | Table]  # sentences and tables in their order; "" is an empty line of a text
@@ -105,8 +105,8 @@ class LabelledResult(abc.ABC):
 
     def _repr_html_(self) -> str:
         title, *parts = self.parts()
-        shown = (one.html() if isinstance(one, Table) else rich_text.paragraph(one) for one in parts if one)
-        return rich_text.document(str(title), *shown)
+        shown = (one.html() if isinstance(one, Table) else paragraph(one) for one in parts if one)
+        return document(str(title), *shown)
 
 
 def text_of(parts: Parts) -> str:

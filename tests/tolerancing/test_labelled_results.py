@@ -136,7 +136,7 @@ def test_a_dataset_of_a_sweep(results):
 
 def test_a_dataset_of_a_reliability_study(results):
     found, result = results["reliability"].to_xarray(), results["reliability"]
-    # a - 2 b > 1/2: both have a standard deviation of 0.1, a - 2 b one of sqrt(5) / 10; the nearest point is along (1, -2).
+    # a - 2 b > 1/2: both have a standard deviation of 0.1, a - 2 b one of sqrt(5) / 10; (1, -2) is the way there.
     assert float(found.beta[0]) == pytest.approx(np.sqrt(5.0), rel=1e-4)
     np.testing.assert_allclose(found.error_value[0], [0.1, -0.2], rtol=1e-3)
     assert str(found.metric.values[0]) == HOSTILE and str(found.limit_unit.values[0]) == "N"
