@@ -174,20 +174,21 @@ class Sensitivities(LabelledSensitivities):
 
     def shares_table(self) -> str:
         """Contributions to the variance of every metric in percent as text, "" where there are none."""
-        if self.shares is None:
-            return ""
+        return "" if self.shares is None else text_of(self._shares(self.shares))
+
+    def _shares(self, shares: VarianceShares) -> Parts:
         rows = []
         for m, metric in enumerate(self.metrics):
-            order = np.argsort(-np.nan_to_num(self.shares.total[m], nan=-1.0), kind="stable")
+            order = np.argsort(-np.nan_to_num(shares.total[m], nan=-1.0), kind="stable")
             for i in order:
-                parts = (self.shares.linear, self.shares.first_order, self.shares.total)
+                parts = (shares.linear, shares.first_order, shares.total)
                 numbers = [show_number(100.0 * part[m, i], 4, scale=100.0) for part in parts]
-                rows.append([metric, "+".join(self.shares.factors[i]), *numbers])
+                rows.append([metric, "+".join(shares.factors[i]), *numbers])
         header = ["metric", "error", "linear", "first order", "total"]
-        without = [name for name, parts in zip(self.metrics, self.shares.linear, strict=True) if np.isnan(parts).all()]
+        without = [name for name, parts in zip(self.metrics, shares.linear, strict=True) if np.isnan(parts).all()]
         tail = [f"No first-order effect on {', '.join(without)}: all gradients vanish."] if without else []
         head = "Contributions to the variance in percent (quadratic model)"
-        return text_of([head, Table(header, rows), *tail])
+        return [head, Table(header, rows), *tail]
 
     def table(self, metric: str | Metric | None = None, top: int = CLOSEST) -> str:
         """Ranking table as text, of one metric or of all; the `top` errors of each."""
@@ -223,7 +224,7 @@ class Sensitivities(LabelledSensitivities):
         return [head, Table(header, rows), *tail]
 
     def parts(self) -> Parts:
-        """Ranking tables of all metrics, the largest effects of each."""
+        """Ranking tables of all metrics, and what else the derivatives say."""
         head = f"Sensitivities of order {self.order} in {self.mode} mode, status {self.status}"
         if not self.scaled:
             head += "; no tolerances given: the ranking compares unlike units"
@@ -239,7 +240,33 @@ class Sensitivities(LabelledSensitivities):
                 "\nA finer step changes derivatives by more than a tenth: they go through impacts, after a\nfew of "
                 "which motion is chaotic, and mean nothing; take statistics of a batch (monte-carlo), or a shorter time"
             )
-        return [head, *(part for m in range(len(self.metrics)) for part in ("", *self._block(m)))]
+        blocks = [self._block(m) for m in range(len(self.metrics))]
+        if self.eigenvalues is not None and len(self.names) > 1:
+            blocks.append(self._first_directions())
+        if self.shares is not None:
+            blocks.append(self._shares(self.shares))
+        if self.gradient_change is not None:
+            blocks.append(self._changes(self.gradient_change))
+        return [head, *(part for block in blocks for part in ("", *block))]
+
+    def _first_directions(self) -> Parts:
+        """The first principal direction of every metric."""
+        rows = []
+        for metric in self.metrics:
+            value, direction = self.principal_directions(metric)[0]
+            rows.append([metric, f"{0.5 * value:.5g}", *(f"{part:+.2f}" for part in direction.values())])
+        head = "Combination of errors (in tolerances) that raises each metric most: the first principal direction"
+        return [head, Table(["metric", "1/2 eigenvalue", *self.names], rows)]
+
+    def _changes(self, gradients: Float[np.ndarray, "m k"]) -> Parts:
+        """How far derivatives change with a finer step."""
+        hessians = [np.nan] * len(self.metrics) if self.hessian_change is None else self.hessian_change
+        rows = [
+            [metric, f"{np.max(gradient):.1e}", f"{change:.1e}" if change == change else "-"]
+            for metric, gradient, change in zip(self.metrics, gradients, hessians, strict=True)
+        ]
+        head = "Change with the finer step (of each error's effect, of the largest |H|)"
+        return [head, Table(["metric", "largest change of a gradient", "change of the Hessian"], rows)]
 
 
 _REMARKS = {
