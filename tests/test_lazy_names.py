@@ -5,7 +5,8 @@ import pytest
 from rfem_jax.lazy_names import lazy_names
 from tests.processes import in_a_new_process
 
-UNUSED = "scipy.stats rfem_jax.tolerancing.robust_design.allocation rfem_jax.tolerancing.sampling.monte_carlo_study"
+UNUSED = "scipy.stats xarray pandas "
+UNUSED += "rfem_jax.tolerancing.robust_design.allocation rfem_jax.tolerancing.sampling.monte_carlo_study"
 
 
 def test_names_are_those_of_their_modules():
@@ -29,6 +30,6 @@ def test_all_public_names_are_found(package):
 
 
 @pytest.mark.slow
-def test_a_problem_needs_no_statistics():
+def test_a_problem_needs_no_statistics_and_no_tables():
     code = f"import sys; from rfem_jax import Problem; print([x for x in '{UNUSED}'.split() if x in sys.modules])"
     assert in_a_new_process(code) == "[]"

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from rfem_jax.description.basics.errors import InputError
-from rfem_jax.report.quantities import DRIVEN_JOINT, JOINT_METRICS, Quantity
 from rfem_jax.report.tables import format_numbers, format_table
+from rfem_jax.simulation.quantities import DRIVEN_JOINT, JOINT_METRICS, Quantity
 
 RESULTS = "results.json"
 ROUNDING = 1e-9  # of the largest value of a quantity

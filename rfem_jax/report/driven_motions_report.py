@@ -11,7 +11,7 @@ import numpy as np
 
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.report.annotations import Run
-from rfem_jax.report.quantities import Quantity
+from rfem_jax.simulation.quantities import Quantity
 
 ROTATION = (
     Quantity("angle", "rad", "angle", "the driven joint's own coordinate"),

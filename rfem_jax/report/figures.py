@@ -19,7 +19,10 @@ from rfem_jax.report.annotations import Figure, Run, Summaries
 from rfem_jax.report.contact_figures import orbit_figures
 from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
 from rfem_jax.report.pictures import write_pictures
-from rfem_jax.report.quantities import (
+from rfem_jax.report.shapes import assembly_figure
+from rfem_jax.report.style import SETTINGS, add_legend, add_titles, bar_style, line_style, new_figure
+from rfem_jax.report.summary import in_legend, joint_names, reference_case, status_of, total_energy
+from rfem_jax.simulation.quantities import (
     MAX_AXIAL_FORCE,
     MAX_NORMAL_FORCE,
     PRELOAD_FORCE,
@@ -28,9 +31,6 @@ from rfem_jax.report.quantities import (
     RMS_MOMENT,
     Quantity,
 )
-from rfem_jax.report.shapes import assembly_figure
-from rfem_jax.report.style import SETTINGS, add_legend, add_titles, bar_style, line_style, new_figure
-from rfem_jax.report.summary import in_legend, joint_names, reference_case, status_of, total_energy
 
 MOST_BASE_JOINTS = 3
 ROUNDING = 1e-6  # of the largest component: drawn as zero, as the moment about a hinge is that Newton's method leaves

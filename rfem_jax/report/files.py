@@ -31,8 +31,8 @@ from rfem_jax.mechanics.model.discretisation import start_held
 from rfem_jax.report.annotations import Run, StartHeld, Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities
 from rfem_jax.report.output import csv_cell, write_json
-from rfem_jax.report.quantities import ENERGIES, column_name, units
 from rfem_jax.report.summary import joint_names, reaction_norm, study_note, total_energy
+from rfem_jax.simulation.quantities import ENERGIES, column_name, units
 from rfem_jax.whole_files import replacing
 
 

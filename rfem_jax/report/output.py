@@ -4,7 +4,7 @@ Place in the pipeline: `whole_files` -> **output** -> every module of this packa
 scripts.  JSON has no NaN; a value that does not exist is null, in CSV an empty cell.
 Texts in CSV files that begin as a formula (=, +, -, @) have an apostrophe before them.
 
-Columns of CSV files are named with their units (`quantities.column_name`): `time_s`, `D.d_y_m`. Where the unit changes
+Columns of CSV files are named with their units (`column_name`): `time_s`, `D.d_y_m`. Where the unit changes
 from row to row, it stands in a column of its own: `gradient_unit` is that of `gradient`, `unit` that of all others. A
 column of which neither is said has no unit: a count, a name, a ratio, a cost in the currency of the study.
 """

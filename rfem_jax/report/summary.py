@@ -19,7 +19,7 @@ from rfem_jax.mechanics.forces.bush_contacts import CLOSED, CONTACT_NAMES, Conta
 from rfem_jax.mechanics.model.status import STATUS
 from rfem_jax.report.annotations import Run, Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
-from rfem_jax.report.quantities import (
+from rfem_jax.simulation.quantities import (
     CHECKS,
     CONTACT_CHANGES,
     CONTACTS,

@@ -15,8 +15,8 @@ from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tolerances.error_catalogue import as_specified
 from rfem_jax.report.annotations import Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
-from rfem_jax.report.quantities import BALANCES, DRIVEN_JOINT, JOINT_METRICS, Quantity
 from rfem_jax.report.summary import OK, joint_names, marked, marked_cases, study_note
+from rfem_jax.simulation.quantities import BALANCES, DRIVEN_JOINT, JOINT_METRICS, Quantity
 from rfem_jax.text_layout import align_columns
 
 _WIDTH = 96

@@ -41,18 +41,12 @@ class Runs(dict[str, Run]):
     """The runs of a study by case, with what shows and hands on all of them."""
 
     def to_xarray(self) -> Dataset:
-        """An `xarray.Dataset` as `Run.to_xarray` makes it, with the dimension `case`.
-
-        **Raises:** ModuleNotFoundError without the extra `xarray`.
-        """
+        """An `xarray.Dataset` as `Run.to_xarray` makes it, with the dimension `case`."""
         stacked = jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *self.values())
         return labelled_runs.run_dataset(stacked, tuple(self))
 
     def to_pandas(self) -> DataFrame:
-        """A `pandas.DataFrame` with a row per case and joint: metrics and preload.
-
-        **Raises:** ModuleNotFoundError without the extra `xarray`.
-        """
+        """A `pandas.DataFrame` with a row per case and joint: metrics and preload."""
         rows = [row for case, run in self.items() for row in labelled_runs.joint_rows(run, case)]
         return frame(rows, ["case", "joint"])
 

@@ -20,44 +20,29 @@ from rfem_jax.description.basics.errors import InputError
 from rfem_jax.labelled_data import COMPONENTS, DataFrame, Dataset, Labelled, column_name, dataset, frame
 from rfem_jax.mechanics.forces.bush_contacts import CONTACT_NAMES
 from rfem_jax.mechanics.model.status import STATUS
+from rfem_jax.simulation.quantities import (
+    CHECKS,
+    ENERGIES,
+    HINGE_MOMENT_ERROR,
+    JOINT_METRICS,
+    MEAN_SQUARES,
+    Quantity,
+)
 
 Run = Any  # `rfem_jax.simulation.run.Run`, which imports this module
 
-METRICS = {
-    "mean_square_force": ("N^2", "mean square of the resultant force over the run"),
-    "mean_square_moment": ("(N m)^2", "mean square of the resultant moment over the run"),
-    "rms_force": ("N", "RMS resultant force"),
-    "rms_moment": ("N m", "RMS resultant moment"),
-    "max_axial_force": ("N", "largest absolute force along the joint's axis"),
-    "max_normal_force": ("N", "largest resultant force across the joint's axis"),
-    "max_force": ("N", "largest resultant force"),
-    "max_moment": ("N m", "largest resultant moment"),
-}
-ENERGIES = {
-    "kinetic": "kinetic energy",
-    "elastic": "elastic energy",
-    "gravity": "potential energy of the weight",
-    "total": "mechanical energy",
-    "work": "work of the drives since the start",
-    "dissipation": "energy dissipated since the start",
-}
-CHECKS = {
-    "energy_balance_error": ("1", "energy balance, relative to the energy that is exchanged"),
-    "closure_drift": ("m", "largest distance of the two centres of a cut joint"),
-    "closure_drift_angle": ("rad", "largest residual of the axis equations of a cut joint"),
-    "momentum_balance_error": ("1", "balance of joint loads against the rate of momentum, relative"),
-    "hinge_moment_error": ("1", "moment about free axes beyond the forces in the joints, relative"),
-    "stabilisation_share": ("1", "largest stabilising multiplier over the largest multiplier"),
-    "solution_residual": ("1", "largest residual of an implicit step over the largest joint force"),
-    "linear_error": ("1", "estimated error of linear elements, relative to the deflections of the worst link"),
-}
+METRICS = (*MEAN_SQUARES, *JOINT_METRICS)  # of every joint
+
+
+def _labelled(quantity: Quantity, dims: tuple[str, ...], values: Any) -> Labelled:
+    return Labelled(dims, values, quantity.unit or "1", quantity.label, {"description": quantity.description})
 
 
 def run_dataset(run: Run, cases: Sequence[str] | None = None) -> Dataset:
     """Everything that a run has, with named dimensions, units and long names.
 
     Args: run, one or a batch with one leading axis; cases, the names along it (None: their numbers).
-    Raises: InputError for a batch with several axes; ModuleNotFoundError without xarray.
+    Raises: InputError for a batch with several axes.
     """
     axes = np.ndim(run.status)
     if axes > 1:
@@ -85,8 +70,8 @@ def run_dataset(run: Run, cases: Sequence[str] | None = None) -> Dataset:
     _add_paths(variables, coordinates, run, before)
     _add_contacts(variables, coordinates, run, before)
     _add_lines(variables, coordinates, run, before)
-    for name, (unit, meaning) in CHECKS.items():
-        variables[name] = Labelled(before, getattr(run.checks, name), unit, meaning)
+    for one in (*CHECKS, HINGE_MOMENT_ERROR):
+        variables[one.name] = _labelled(one, before, getattr(run.checks, one.name))
     codes = {"flag_values": np.arange(len(STATUS)), "flag_meanings": " ".join(one.name for one in STATUS)}
     variables["status"] = Labelled(before, run.status, "1", "what happened to the run", codes)
     return dataset(variables, coordinates, {"title": "rfem_jax: simulated loads and motion"})
@@ -112,9 +97,9 @@ def _add_loads(variables, run, joints, before) -> None:
             (*before, "time", "joint"), _stack([sums[name] for name in joints], at + 1), squared,
             f"integral of the squared resultant {what} since the start",
         )  # fmt: skip
-    for name, (unit, meaning) in METRICS.items():
-        by_joint = getattr(run.metrics, name)
-        variables[name] = Labelled((*before, "joint"), _stack([by_joint[one] for one in joints], at), unit, meaning)
+    for one in METRICS:
+        by_joint = getattr(run.metrics, one.name)
+        variables[one.name] = _labelled(one, (*before, "joint"), _stack([by_joint[name] for name in joints], at))
 
 
 def _add_motion(variables, coordinates, run, before) -> None:
@@ -165,10 +150,9 @@ def _coordinates(by_joint: Mapping[str, Any], axes: int):
 
 
 def _add_energies(variables, coordinates, run, before) -> None:
-    for name, meaning in ENERGIES.items():
-        variables[f"{name}_energy" if name != "work" else name] = Labelled(
-            (*before, "time"), getattr(run.energy, name), "J", meaning
-        )
+    for one in ENERGIES:
+        name = one.name if one.name == "work" else f"{one.name}_energy"
+        variables[name] = _labelled(one, (*before, "time"), getattr(run.energy, one.name))
     if run.friction_losses:
         coordinates["friction"] = list(run.friction_losses)
         values = _stack(list(run.friction_losses.values()), len(before) + 1)
@@ -264,8 +248,7 @@ def joint_rows(run: Run, case: str | None = None) -> list[dict[str, Any]]:
     for joint in run.loads:
         row: dict[str, Any] = {} if case is None else {"case": case}
         row["joint"] = joint
-        for name, (unit, _) in METRICS.items():
-            row[column_name(name, unit)] = float(getattr(run.metrics, name)[joint])
+        row |= {column_name(one.name, one.unit): float(getattr(run.metrics, one.name)[joint]) for one in METRICS}
         for what, unit in (("force", "N"), ("moment", "N m")):
             values = np.asarray(getattr(run.preload[joint], what))
             row |= {column_name(f"preload_{what}_{x}", unit): float(v) for x, v in zip(COMPONENTS, values, strict=True)}
@@ -283,24 +266,32 @@ def require_one(run: Run) -> None:
 
 
 def run_frame(run: Run) -> DataFrame:
-    """`joint_rows` as a DataFrame, by joint. Raises: InputError for a batch; ModuleNotFoundError without pandas."""
+    """`joint_rows` as a DataFrame, by joint. Raises: InputError for a batch."""
     require_one(run)
     return frame(joint_rows(run), ["joint"])
 
 
-SHOWN = ("rms_force", "rms_moment", "max_force", "max_moment", "max_axial_force", "max_normal_force")
+HEADER = ["joint", *(one.title for one in JOINT_METRICS)]
+
+
+def _shown(run: Run, joint: str) -> list[str | float]:
+    return [joint, *(float(getattr(run.metrics, one.name)[joint]) for one in JOINT_METRICS)]
 
 
 def run_html(run: Run) -> str:
     """Status, loads and balances of one run, or the size of a batch."""
     if np.ndim(run.status) != 0:
         return rich_text.document("Run", rich_text.paragraph(run.summary()))
-    rows = [[joint, *(float(getattr(run.metrics, name)[joint]) for name in SHOWN)] for joint in run.loads]
-    header = ["joint", *(f"{METRICS[name][1]}, {METRICS[name][0]}" for name in SHOWN)]
     status = STATUS[int(run.status)]
     title = f"Run of {float(run.times[-1]):g} s, status {status.name}"
-    checks = [[meaning, float(getattr(run.checks, name)), unit] for name, (unit, meaning) in CHECKS.items()]
-    parts = [rich_text.table(header, rows), rich_text.table(["check", "value", "unit"], checks, (0, 2))]
+    checks = [
+        [f"{one.label}: {one.description}", float(getattr(run.checks, one.name)), one.unit or "1"]
+        for one in (*CHECKS, HINGE_MOMENT_ERROR)
+    ]
+    parts = [
+        rich_text.table(HEADER, [_shown(run, joint) for joint in run.loads]),
+        rich_text.table(["check", "value", "unit"], checks, (0, 2)),
+    ]
     if status.name != "ok":
         parts.insert(0, rich_text.paragraph(status.message))
     return rich_text.document(title, *parts)
@@ -309,9 +300,7 @@ def run_html(run: Run) -> str:
 def runs_html(runs: Mapping[str, Run]) -> str:
     """Loads of all cases, a row per case and joint, and their status."""
     rows = [
-        [case, joint, *(float(getattr(run.metrics, name)[joint]) for name in SHOWN), STATUS[int(run.status)].name]
-        for case, run in runs.items()
-        for joint in run.loads
+        [case, *_shown(run, joint), STATUS[int(run.status)].name] for case, run in runs.items() for joint in run.loads
     ]
-    header = ["case", "joint", *(f"{METRICS[name][1]}, {METRICS[name][0]}" for name in SHOWN), "status"]
+    header = ["case", *HEADER, "status"]
     return rich_text.document(f"Runs of {len(runs)} cases", rich_text.table(header, rows, (0, 1, len(header) - 1)))

@@ -365,7 +365,7 @@ class Run(eqx.Module):
 
         **Arguments:** `cases`: the names along the dimension `case` of a batch; None numbers them.
 
-        **Raises:** `InputError` for a batch with several axes; ModuleNotFoundError without the extra `xarray`.
+        **Raises:** `InputError` for a batch with several axes.
         """
         from rfem_jax.simulation.labelled_runs import run_dataset
 
@@ -374,7 +374,7 @@ class Run(eqx.Module):
     def to_pandas(self) -> DataFrame:
         """A `pandas.DataFrame` of one run with a row per joint: its metrics and preload.
 
-        **Raises:** `InputError` for a batch; ModuleNotFoundError without the extra `xarray`.
+        **Raises:** `InputError` for a batch.
         """
         from rfem_jax.simulation.labelled_runs import run_frame
 

@@ -1,29 +1,36 @@
-"""Answers of `allocate` and `optimise` as labelled data: xarray Datasets, pandas tables, HTML for notebooks.
+"""What answers of `allocate` and `optimise` hold, as labelled data, and their rows.
 
-Place in the pipeline: beside labelled_results, with its dimensions; `Allocation` and `DesignOptimum` inherit these
-methods.
+Place in the pipeline: beside labelled_results, with its dimensions; `Allocation` and `DesignOptimum` inherit these.
 """
 
-from collections.abc import Iterable
+import abc
 from typing import Any
 
 import numpy as np
 
-from rfem_jax import rich_text
-from rfem_jax.labelled_data import DataFrame, Dataset, Labelled, dataset, frame
-from rfem_jax.tolerancing.labelled_results import named_dimension
+from rfem_jax.labelled_data import (
+    Arrays,
+    DataFrame,
+    Labelled,
+    LabelledResult,
+    frame,
+    limit_coordinates,
+    named_dimension,
+    text_array,
+)
 
-Labels = tuple[dict[str, Labelled], dict[str, Any], dict[str, Any]]  # variables, coordinates, attributes
 
-
-class LabelledSolution:
+class LabelledSolution(LabelledResult):
     """Of `Solution`."""
 
-    def to_xarray(self: Any) -> Dataset:
-        """An `xarray.Dataset`: tolerances over `error`, limits over `limit_number`; of an allocation costs over
-        `round`; of an optimum dimensions over `design`, terms of the objective over `term`, solutions on the way over
-        `solution`. Raises: ModuleNotFoundError without the extra `xarray`."""
-        variables, coordinates, attributes = self._own_labels()
+    @abc.abstractmethod
+    def own_arrays(self: Any) -> Arrays:
+        """What this kind of answer has beside tolerances and limits."""
+
+    def arrays(self: Any) -> Arrays:
+        """Tolerances over `error`, limits over `limit_number`; of an allocation costs over `round`; of an optimum
+        dimensions over `design`, terms of the objective over `term`, solutions on the way over `solution`."""
+        variables, coordinates, attributes = self.own_arrays()
         names, of_limit = tuple(self.tolerances), ("limit_number",)
         variables["tolerance"] = Labelled(("error",), list(self.tolerances.values()), "", "half-width, in error_unit")
         for name in self.limit_numbers:
@@ -31,13 +38,10 @@ class LabelledSolution:
             variables[name] = Labelled(of_limit, [getattr(one, name) for one in self.limits], "", words)
         ends = np.reshape([one.verified_interval for one in self.limits], (-1, 2))
         variables["verified_interval"] = Labelled((*of_limit, "end"), ends, "", "in limit_unit")
-        coordinates |= named_dimension(names, [self.units[name] for name in names], "error")
-        coordinates["end"] = ("low", "high")
-        for name in ("metric", "side", "unit"):
-            values = _words(getattr(one, name) or "1" for one in self.limits)
-            coordinates["limit_unit" if name == "unit" else name] = Labelled(of_limit, values)
+        coordinates |= named_dimension("error", names, [self.units[name] for name in names])
+        coordinates |= {"end": ("low", "high"), **limit_coordinates(self.limits)}
         attributes |= {"criterion": self.criterion, "status": self.status, "message": self.message}
-        return dataset(variables, coordinates, attributes | {"failed": self.failed})
+        return variables, coordinates, attributes | {"failed": self.failed}
 
     def _history(self: Any, what: str, step: str, words: str) -> dict[str, Labelled]:
         history = np.reshape(np.asarray(self.history, dtype=float), (-1, 2))
@@ -56,27 +60,8 @@ class LabelledSolution:
         ]
 
     def to_pandas(self: Any, limits: bool = False) -> DataFrame:
-        """What was found as a `pandas.DataFrame`, or with `limits` the limits. Raises: ModuleNotFoundError without the
-        extra `xarray`."""
-        index = [name for name in ("error", "name", "kind") if name in self.rows()[0]]
-        return frame(self.limit_rows(), ["metric", "side"]) if limits else frame(self.rows(), index)
-
-    def _repr_html_(self: Any) -> str:
-        found = []
-        for row in self.rows():
-            name, *_ = row.values()
-            shown = {key: value for key, value in row.items() if key != "unit"}
-            numbers = {key: value for key, value in shown.items() if isinstance(value, float)}
-            found.append(shown | {key: "-" if np.isnan(x) else self._show(name, x) for key, x in numbers.items()})
-        words = [place for place, key in enumerate(found[0]) if key in ("error", "name", "kind", "at_bound")]
-        keys = ("metric", "side", "unit", *self.limit_numbers)
-        limits = [[one[name] for name in keys] for one in self.limit_rows()]
-        return rich_text.document(
-            self._head(),
-            rich_text.paragraph(self.message),
-            rich_text.table([key.replace("_", " ") for key in found[0]], [[*row.values()] for row in found], words),
-            rich_text.table([name.replace("_", " ") for name in keys], limits, (0, 1, 2)),
-        )
+        """What was found as a `pandas.DataFrame`, or with `limits` the limits."""
+        return frame(self.limit_rows(), ("metric", "side")) if limits else super().to_pandas()
 
     def _width_bound(self: Any, name: str) -> str:
         """The bound that holds a tolerance, "" if none does."""
@@ -87,8 +72,10 @@ class LabelledSolution:
 class LabelledAllocation(LabelledSolution):
     """Of `Allocation`."""
 
-    def _own_labels(self: Any) -> Labels:
-        bounds = _words(map(self._width_bound, self.tolerances))
+    index = ("error",)
+
+    def own_arrays(self: Any) -> Arrays:
+        bounds = text_array(map(self._width_bound, self.tolerances))
         variables = {
             "at_bound": Labelled(("error",), bounds, "", "the bound that holds it"),
             "cost": Labelled((), self.cost, "1", "in the currency of the study"),
@@ -107,24 +94,28 @@ class LabelledAllocation(LabelledSolution):
 class LabelledOptimum(LabelledSolution):
     """Of `DesignOptimum`."""
 
-    def _own_labels(self: Any) -> Labels:
+    index = ("name", "kind")
+
+    def own_arrays(self: Any) -> Arrays:
         designs, errors, terms = tuple(self.designs), tuple(self.tolerances), tuple(self.terms)
-        asked: dict[str, tuple[tuple[str, ...], Any, str, str]] = {
-            "design_value": (("design",), list(self.designs.values()), "", "dimension found, in design_unit"),
-            "initial_value": (("design",), [self.initial[n] for n in designs], "", "before, in design_unit"),
-            "design_at_bound": (("design",), _words(self.at_bounds.get(n, "") for n in designs), "", "if any"),
-            "tolerance_at_bound": (("error",), _words(map(self._width_bound, errors)), "", "if any"),
-            "term_value": (("term",), list(self.terms.values()), "", "of the objective, in term_unit"),
-            "weight": (("term",), [self.weights.get(name, 0.0) for name in terms], "", "in the objective"),
-            "objective": ((), self.objective, "1", "weighted sum of the terms"),
-            "kkt_residual": ((), self.kkt_residual, "1", "of the objective at the start"),
-            "verified_yield": ((), self.verified_yield, "1", "fraction of fresh samples within all limits"),
-            "yield_interval": (("end",), list(self.yield_interval), "1", "of the verified yield"),
+        of_design, of_error, of_term = ("design",), ("error",), ("term",)
+        before, bounds = [self.initial[name] for name in designs], [self.at_bounds.get(name, "") for name in designs]
+        weights = [self.weights.get(name, 0.0) for name in terms]
+        variables = {
+            "design_value": Labelled(of_design, list(self.designs.values()), "", "dimension found, in design_unit"),
+            "initial_value": Labelled(of_design, before, "", "before, in design_unit"),
+            "design_at_bound": Labelled(of_design, text_array(bounds), "", "if any"),
+            "tolerance_at_bound": Labelled(of_error, text_array(map(self._width_bound, errors)), "", "if any"),
+            "term_value": Labelled(of_term, list(self.terms.values()), "", "of the objective, in term_unit"),
+            "weight": Labelled(of_term, weights, "", "in the objective"),
+            "objective": Labelled((), self.objective, "1", "weighted sum of the terms"),
+            "kkt_residual": Labelled((), self.kkt_residual, "1", "of the objective at the start"),
+            "verified_yield": Labelled((), self.verified_yield, "1", "fraction of fresh samples within all limits"),
+            "yield_interval": Labelled(("end",), list(self.yield_interval), "1", "of the verified yield"),
         }
-        variables = {name: Labelled(*entry) for name, entry in asked.items()}
         variables |= self._history("objective", "solution", "weighted sum of the terms")
-        coordinates = named_dimension(designs, [self.units[name] for name in designs], "design")
-        coordinates |= named_dimension(terms, [self.term_units[name] for name in terms], "term")
+        coordinates = named_dimension("design", designs, [self.units[name] for name in designs])
+        coordinates |= named_dimension("term", terms, [self.term_units[name] for name in terms])
         attributes = {"title": "Optimum", "verified_by": self.verified_by, "simulations": self.simulations}
         return variables, coordinates, attributes
 
@@ -139,7 +130,3 @@ class LabelledOptimum(LabelledSolution):
             | {"before": before, "at_bound": bound}
             for name, kind, value, before, bound in rows
         ]
-
-
-def _words(words: Iterable[str]) -> np.ndarray:
-    return np.array(list(words), dtype=np.str_)

@@ -25,7 +25,7 @@ from jaxtyping import Bool, Float
 
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.tolerances.error_catalogue import as_specified
-from rfem_jax.text_layout import align_columns, wrap_lines
+from rfem_jax.labelled_data import Parts, Table, text_of
 from rfem_jax.tolerancing.checks import ErrorValues, check_known
 from rfem_jax.tolerancing.contributions import VarianceShares, variance_shares
 from rfem_jax.tolerancing.labelled_results import LabelledSensitivities
@@ -46,6 +46,8 @@ NOT_REPRODUCED = "derivative_not_reproduced"
 ROUNDING = 1e-12  # gradient and Hessian of an error below this part of the largest ones: of no effect
 VANISHING = 1e-6  # gradient below this part of (Hessian x tolerances): zero by symmetry
 ZERO_VALUE = 1e-9  # value below this part of (1/2 tolerances x Hessian x tolerances): zero
+
+CLOSEST = 8  # errors of a table
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,27 +174,28 @@ class Sensitivities(LabelledSensitivities):
 
     def shares_table(self) -> str:
         """Contributions to the variance of every metric in percent as text, "" where there are none."""
-        if self.shares is None:
-            return ""
+        return "" if self.shares is None else text_of(self._shares(self.shares))
+
+    def _shares(self, shares: VarianceShares) -> Parts:
         rows = []
         for m, metric in enumerate(self.metrics):
-            order = np.argsort(-np.nan_to_num(self.shares.total[m], nan=-1.0), kind="stable")
+            order = np.argsort(-np.nan_to_num(shares.total[m], nan=-1.0), kind="stable")
             for i in order:
-                parts = (self.shares.linear, self.shares.first_order, self.shares.total)
+                parts = (shares.linear, shares.first_order, shares.total)
                 numbers = [show_number(100.0 * part[m, i], 4, scale=100.0) for part in parts]
-                rows.append([metric, "+".join(self.shares.factors[i]), *numbers])
+                rows.append([metric, "+".join(shares.factors[i]), *numbers])
         header = ["metric", "error", "linear", "first order", "total"]
-        without = [name for name, parts in zip(self.metrics, self.shares.linear, strict=True) if np.isnan(parts).all()]
-        tail = [wrap_lines(f"No first-order effect on {', '.join(without)}: all gradients vanish.")] if without else []
+        without = [name for name, parts in zip(self.metrics, shares.linear, strict=True) if np.isnan(parts).all()]
+        tail = [f"No first-order effect on {', '.join(without)}: all gradients vanish."] if without else []
         head = "Contributions to the variance in percent (quadratic model)"
-        return "\n".join([head, align_columns(header, rows), *tail])
+        return [head, Table(header, rows), *tail]
 
-    def table(self, metric: str | Metric | None = None, top: int = 8) -> str:
+    def table(self, metric: str | Metric | None = None, top: int = CLOSEST) -> str:
         """Ranking table as text, of one metric or of all; the `top` errors of each."""
         chosen = range(len(self.metrics)) if metric is None else (self._row(metric),)
-        return "\n\n".join(self._block(m, top) for m in chosen)
+        return "\n\n".join(text_of(self._block(m, top)) for m in chosen)
 
-    def _block(self, m, top):
+    def _block(self, m: int, top: int = CLOSEST) -> Parts:
         unit, size = self.metric_units[m], float(np.max(self.effects[m]))
         value = 0.0 if self.character[m] == "kink" else self.value[m]  # what is left of it is rounding
         head = f"{self.labels[m]} [{unit}] = {show_number(value, scale=size)}"
@@ -217,10 +220,11 @@ class Sensitivities(LabelledSensitivities):
             row += [show_number(self.root_derivatives[m, i])] if self.character[m] == "kink" else []
             rows.append(row)
         left_out = len(self.names) - len(rows)
-        tail = f"\n({left_out} more errors with smaller effects)" if left_out > 0 else ""
-        return f"{wrap_lines(head)}\n{align_columns(header, rows)}{tail}"
+        tail = [f"({left_out} more errors with smaller effects)"] if left_out > 0 else []
+        return [head, Table(header, rows), *tail]
 
-    def __str__(self) -> str:
+    def parts(self) -> Parts:
+        """Ranking tables of all metrics, and what else the derivatives say."""
         head = f"Sensitivities of order {self.order} in {self.mode} mode, status {self.status}"
         if not self.scaled:
             head += "; no tolerances given: the ranking compares unlike units"
@@ -236,7 +240,33 @@ class Sensitivities(LabelledSensitivities):
                 "\nA finer step changes derivatives by more than a tenth: they go through impacts, after a\nfew of "
                 "which motion is chaotic, and mean nothing; take statistics of a batch (monte-carlo), or a shorter time"
             )
-        return f"{head}\n\n{self.table()}"
+        blocks = [self._block(m) for m in range(len(self.metrics))]
+        if self.eigenvalues is not None and len(self.names) > 1:
+            blocks.append(self._first_directions())
+        if self.shares is not None:
+            blocks.append(self._shares(self.shares))
+        if self.gradient_change is not None:
+            blocks.append(self._changes(self.gradient_change))
+        return [head, *(part for block in blocks for part in ("", *block))]
+
+    def _first_directions(self) -> Parts:
+        """The first principal direction of every metric."""
+        rows = []
+        for metric in self.metrics:
+            value, direction = self.principal_directions(metric)[0]
+            rows.append([metric, f"{0.5 * value:.5g}", *(f"{part:+.2f}" for part in direction.values())])
+        head = "Combination of errors (in tolerances) that raises each metric most: the first principal direction"
+        return [head, Table(["metric", "1/2 eigenvalue", *self.names], rows)]
+
+    def _changes(self, gradients: Float[np.ndarray, "m k"]) -> Parts:
+        """How far derivatives change with a finer step."""
+        hessians = [np.nan] * len(self.metrics) if self.hessian_change is None else self.hessian_change
+        rows = [
+            [metric, f"{np.max(gradient):.1e}", f"{change:.1e}" if change == change else "-"]
+            for metric, gradient, change in zip(self.metrics, gradients, hessians, strict=True)
+        ]
+        head = "Change with the finer step (of each error's effect, of the largest |H|)"
+        return [head, Table(["metric", "largest change of a gradient", "change of the Hessian"], rows)]
 
 
 _REMARKS = {

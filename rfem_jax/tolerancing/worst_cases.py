@@ -24,7 +24,7 @@ from jaxtyping import Float
 
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.basics.precision import require_float64
-from rfem_jax.text_layout import align_columns, wrap_lines
+from rfem_jax.labelled_data import Parts, Table
 from rfem_jax.tolerancing.checks import ErrorValues
 from rfem_jax.tolerancing.labelled_results import LabelledWorstCase
 from rfem_jax.tolerancing.layout import show_error, show_number
@@ -125,7 +125,8 @@ class WorstCase(LabelledWorstCase):
         sizes = np.abs([self.value, *self.end_values])
         return float(np.max(sizes, where=np.isfinite(sizes), initial=0.0))
 
-    def __str__(self) -> str:
+    def parts(self) -> Parts:
+        """The worst point, and how far to trust it."""
         word = "Largest" if self.sense == "max" else "Smallest"
         head = f"{word} {self.metric} over the {self.region}: "
         head += f"{self._show(self.value)} {self.unit} (status {self.status}, found by "
@@ -149,8 +150,7 @@ class WorstCase(LabelledWorstCase):
         ]
         if self.corners is not None:
             tail.append(f"all {self.corners.count} corners: {self._show(self.corners.value)}")
-        table = align_columns(header, rows) if rows else "no point"
-        return "\n".join([wrap_lines(head), table, *map(wrap_lines, tail)])
+        return [head, Table(header, rows) if rows else "no point", *tail]
 
     def _show(self, value, digits=7):
         return show_number(value, digits, self.scale)

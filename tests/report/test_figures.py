@@ -21,7 +21,6 @@ from rfem_jax.mechanics import STATUS
 from rfem_jax.report import shapes
 from rfem_jax.report.figures import component_figure, draw_figures, shown_joints, write_figures
 from rfem_jax.report.pictures import write_pictures
-from rfem_jax.report.quantities import RMS_MOMENT
 from rfem_jax.report.shapes import (
     assembly_figure,
     exaggerated_lines,
@@ -33,6 +32,7 @@ from rfem_jax.report.shapes import (
 )
 from rfem_jax.report.style import SETTINGS, bar_style, line_style
 from rfem_jax.report.summary import summarise
+from rfem_jax.simulation.quantities import RMS_MOMENT
 
 from .conftest import STUDY, all_complete, synthetic_runs
 

@@ -7,8 +7,8 @@ import pytest
 
 from rfem_jax.report.files import history_columns, write_files
 from rfem_jax.report.output import write_csv
-from rfem_jax.report.quantities import column_name
 from rfem_jax.report.summary import reference_case, summarise
+from rfem_jax.simulation.quantities import column_name
 from rfem_jax.whole_files import replacing
 
 

@@ -1,10 +1,9 @@
 """Runs as labelled data: dimensions, units, netCDF, tables, HTML; of a rigid pendulum on a guide."""
 
-import sys
-
 import jax
 import numpy as np
 import pytest
+import xarray
 
 from rfem_jax import (
     Case,
@@ -54,7 +53,6 @@ def test_loads_have_a_joint_axis(runs):
 
 
 def test_a_dataset_of_all_cases(runs):
-    pytest.importorskip("xarray", reason="the extra xarray is not installed")
     found = runs.to_xarray()
     assert found.force.dims == ("case", "time", "joint", "component") and found.force.attrs["units"] == "N"
     tilted = runs["tilted"]
@@ -77,7 +75,6 @@ def test_a_dataset_of_all_cases(runs):
 
 @pytest.mark.slow
 def test_contacts_of_pins(tmp_path):
-    xarray = pytest.importorskip("xarray", reason="the extra xarray is not installed")
     method = GeneralisedAlpha(step=1e-4)
     run = simulate(Simulation(hung(SOFT), drive=None, duration=3e-4, method=method, save_every=1e-4))
     found, pin = run.to_xarray(), run.contacts["D"]
@@ -97,7 +94,6 @@ def test_contacts_of_pins(tmp_path):
 
 
 def test_netcdf_keeps_everything(runs, tmp_path):
-    xarray = pytest.importorskip("xarray", reason="the extra xarray is not installed")
     found = runs["tilted"].to_xarray()
     assert found.force.dims == ("time", "joint", "component")
     found.to_netcdf(tmp_path / "run.nc", engine="scipy")
@@ -110,7 +106,6 @@ def test_netcdf_keeps_everything(runs, tmp_path):
 
 
 def test_a_table_of_joints(runs):
-    pytest.importorskip("pandas", reason="the extra xarray is not installed")
     table = runs.to_pandas()
     assert table.index.names == ["case", "joint"] and len(table) == 4
     metrics, start = runs["tilted"].metrics, runs["tilted"].preload["G"]
@@ -126,14 +121,6 @@ def test_what_has_no_table_is_refused(runs):
         batch.to_pandas()
     with pytest.raises(InputError, match="must have one axis"):
         jax.tree.map(lambda leaf: leaf[None], batch).to_xarray()
-
-
-@pytest.mark.parametrize("name", ["xarray", "pandas"])
-def test_a_missing_package_is_told_with_what_to_install(runs, monkeypatch, name):
-    monkeypatch.setitem(sys.modules, name, None)
-    call = runs.to_xarray if name == "xarray" else runs.to_pandas
-    with pytest.raises(ModuleNotFoundError, match=rf'{name}, .* pip install "rfem_jax\[xarray\]"'):
-        call()
 
 
 def test_html_of_runs_is_escaped(runs):

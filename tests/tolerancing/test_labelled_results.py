@@ -1,19 +1,27 @@
-"""Results of tolerance studies as labelled data, of a quadratic whose derivatives and extremes are known."""
+"""Results of tolerance studies as labelled data, of a quadratic whose derivatives and extremes are known; how text and
+HTML are made of what any result shows."""
+
+from html import escape
 
 import jax
 import numpy as np
 import pytest
+import xarray
 
+from rfem_jax.labelled_data import Labelled, LabelledResult, Table
 from rfem_jax.tolerancing import (
     FunctionProblem,
     Metric,
+    Normal,
     Reciprocal,
     Tolerances,
     Uniform,
     allocate,
     monte_carlo,
     optimise,
+    reliability,
     sensitivity,
+    sweep,
     worst_case,
 )
 
@@ -22,7 +30,7 @@ NAMES = ("a", HOSTILE)
 METRICS = (Metric("square", "N^2", "a square"), Metric(HOSTILE, "N", "a sum"))
 WIDTHS = {"a": 0.1, HOSTILE: 0.2}
 KEY = jax.random.key(1)
-KINDS = ("sensitivity", "monte_carlo", "worst_case", "allocation", "optimum")
+KINDS = ("sensitivity", "monte_carlo", "worst_case", "allocation", "optimum", "sweep", "reliability")
 
 
 def values(errors):
@@ -50,12 +58,15 @@ def results(problem):
             problem, {"a": (-0.5, 1.0)}, {HOSTILE: (0.01, 2.0)}, {"square": 1.0, "cost": 0.1}, {HOSTILE: 5.5},
             cost=Reciprocal(1.0), key=KEY,
         ),
+        "sweep": sweep(problem, {name: (-width, width) for name, width in WIDTHS.items()}, levels=3),
+        "reliability": reliability(
+            problem, Tolerances({name: Normal(0.3) for name in NAMES}), {HOSTILE: 5.5}, KEY, n=512
+        ),
     }  # fmt: skip
 
 
 @pytest.mark.slow
 def test_a_dataset_of_sensitivities(results):
-    pytest.importorskip("xarray", reason="the extra xarray is not installed")
     found, result = results["sensitivity"].to_xarray(), results["sensitivity"]
     np.testing.assert_allclose(found.gradient.sel(metric=HOSTILE), [1.0, -2.0], atol=1e-12)
     assert float(found.hessian.sel(metric="square", error="a", error_2=HOSTILE)) == pytest.approx(1.0)
@@ -67,7 +78,6 @@ def test_a_dataset_of_sensitivities(results):
 
 
 def test_a_dataset_of_samples(results):
-    pytest.importorskip("xarray", reason="the extra xarray is not installed")
     found, result = results["monte_carlo"].to_xarray(), results["monte_carlo"]
     assert dict(found.value.sizes) == {"sample": 64 * 4, "metric": 2}
     a, b = (found.error_value.sel(error=name) for name in NAMES)
@@ -86,7 +96,6 @@ def test_a_dataset_of_samples(results):
 
 
 def test_a_dataset_of_a_worst_case(results):
-    pytest.importorskip("xarray", reason="the extra xarray is not installed")
     found = results["worst_case"].to_xarray()
     assert float(found.value) == pytest.approx(5.5) and found.value.attrs["units"] == "N"
     np.testing.assert_allclose(found.worst_error, [0.1, -0.2])
@@ -94,7 +103,6 @@ def test_a_dataset_of_a_worst_case(results):
 
 
 def test_a_dataset_of_an_allocation(results):
-    pytest.importorskip("xarray", reason="the extra xarray is not installed")
     found = results["allocation"].to_xarray()
     # min 1/t1 + 1/t2 with t1 + 2 t2 = 1/2: t1 = sqrt(2) t2
     second = 0.5 / (2.0 + np.sqrt(2.0))
@@ -104,7 +112,6 @@ def test_a_dataset_of_an_allocation(results):
 
 
 def test_a_dataset_of_an_optimum(results):
-    pytest.importorskip("xarray", reason="the extra xarray is not installed")
     found, result = results["optimum"].to_xarray(), results["optimum"]
     # min 3 + 2 a^2 + 0.1 / t with a + 2 t = 1/2 in the worst case: 4 a + 0.2 / (1/2 - a)^2 = 0.
     (a,) = (root.real for root in np.roots([1.0, -1.0, 0.25, 0.05]) if root.real < 0.0)
@@ -118,9 +125,27 @@ def test_a_dataset_of_an_optimum(results):
     np.testing.assert_array_equal(found.objective_of_solution, [one for one, _ in result.history])
 
 
+def test_a_dataset_of_a_sweep(results):
+    found = results["sweep"].to_xarray()
+    a, b = (found.error_value.sel(error=name) for name in NAMES)
+    np.testing.assert_allclose(found.value.sel(metric=HOSTILE), 5.0 + a - 2.0 * b)
+    np.testing.assert_allclose(found.surface, found.value, rtol=1e-12)  # which is quadratic
+    np.testing.assert_allclose(found.effect.sel(metric=HOSTILE), [0.1, 0.4])
+    np.testing.assert_allclose(found.bounds.sel(error=HOSTILE), [-0.2, 0.2])
+
+
+def test_a_dataset_of_a_reliability_study(results):
+    found, result = results["reliability"].to_xarray(), results["reliability"]
+    # a - 2 b > 1/2: both have a standard deviation of 0.1, a - 2 b one of sqrt(5) / 10; (1, -2) is the way there.
+    assert float(found.beta[0]) == pytest.approx(np.sqrt(5.0), rel=1e-4)
+    np.testing.assert_allclose(found.error_value[0], [0.1, -0.2], rtol=1e-3)
+    assert str(found.metric.values[0]) == HOSTILE and str(found.limit_unit.values[0]) == "N"
+    low, high = (float(found.probability[0].sel(estimate=end)) for end in ("low", "high"))
+    assert low < 0.0126736 < high and float(found.any_limit[0]) == result.any_limit.value
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_netcdf_keeps_everything(results, tmp_path, kind):
-    xarray = pytest.importorskip("xarray", reason="the extra xarray is not installed")
     found = results[kind].to_xarray()
     found.to_netcdf(tmp_path / "result.nc", engine="scipy")
     with xarray.open_dataset(tmp_path / "result.nc", engine="scipy") as read:
@@ -134,7 +159,6 @@ def test_netcdf_keeps_everything(results, tmp_path, kind):
 
 
 def test_tables(results):
-    pytest.importorskip("pandas", reason="the extra xarray is not installed")
     ranked = results["sensitivity"].to_pandas()
     assert ranked.loc[(HOSTILE, HOSTILE), "gradient"] == pytest.approx(-2.0)
     samples = results["monte_carlo"].to_pandas()
@@ -158,3 +182,52 @@ def test_tables(results):
 def test_html_is_escaped(results, kind):
     text = results[kind]._repr_html_()
     assert "<img" not in text and "&lt;img src=x onerror=&quot;" in text and text.count("<table>") >= 1
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_terminal_and_notebook_show_the_same(results, kind):
+    text, shown = str(results[kind]), results[kind]._repr_html_()
+    tables = [one for one in results[kind].parts() if isinstance(one, Table)]
+    assert tables
+    for table in tables:
+        for cell in (cell for row in (table.header, *table.rows) for cell in row):
+            assert cell in text and f">{escape(cell)}</" in shown
+
+
+class Small(LabelledResult):
+    """A result with everything that a kind gives."""
+
+    index = ("name",)
+
+    def arrays(self):
+        variables = {"length": Labelled(("name",), [1.5, 2.0], "m", "of the bar"), "left_out": Labelled((), None)}
+        return variables, {"name": ("a", "<b>")}, {"title": "Small", "absent": None}
+
+    def rows(self):
+        return [{"name": "a", "length_m": 1.5}, {"name": "<b>", "length_m": 2.0}]
+
+    def parts(self):
+        return ["Small: " + "word " * 30, "", Table(("name", "length"), (("a", "1.5"), ("<b>", "2"))), "1 < 2"]
+
+
+def test_all_forms_of_any_result():
+    found = Small().to_xarray()
+    assert float(found.length.sel(name="<b>")) == 2.0 and found.length.attrs == {
+        "units": "m",
+        "long_name": "of the bar",
+    }
+    assert list(found.data_vars) == ["length"] and found.attrs == {"title": "Small"}
+    assert Small().to_pandas().loc["a", "length_m"] == 1.5
+    first, second, *rest = str(Small()).splitlines()
+    assert len(first) <= 120 and second.startswith("  word")
+    assert rest == ["", "name  length", "------------", "a        1.5", "<b>        2", "1 < 2"]
+    shown = Small()._repr_html_()
+    assert (
+        shown.startswith("<div><b>Small: word") and shown.endswith("<p>1 &lt; 2</p></div>") and "<p></p>" not in shown
+    )
+    assert [shown.count(one) for one in ("<table>", ">&lt;b&gt;</td>", "text-align:left", "text-align:right")] == [
+        1,
+        1,
+        3,
+        3,
+    ]

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.report.page.packing import pack_floats, some_rows
-from rfem_jax.report.quantities import ENERGIES
+from rfem_jax.simulation.quantities import ENERGIES
 
 MOST_ROWS = 2001  # of a case
 MOST_NUMBERS = 220_000  # of all cases, four bytes each

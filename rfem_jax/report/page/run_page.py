@@ -16,8 +16,8 @@ from rfem_jax.report.page.animation import pack_animation, record_animation
 from rfem_jax.report.page.document import write_document
 from rfem_jax.report.page.folder import case_rows, page_head
 from rfem_jax.report.page.histories import Columns, pack_histories
-from rfem_jax.report.quantities import CHECKS, DRIVEN_JOINT, ENERGIES, JOINT_METRICS, PRELOADS, column_name
 from rfem_jax.report.summary import readable
+from rfem_jax.simulation.quantities import CHECKS, DRIVEN_JOINT, ENERGIES, JOINT_METRICS, PRELOADS, column_name
 from rfem_jax.simulation.remarks import remarks_on
 from rfem_jax.simulation.run import Run
 

@@ -5,6 +5,7 @@ Failed samples are counted, and not drawn; a study succeeds as long as any sampl
 mm, metrics in their own units.
 """
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,6 @@ from rfem_jax.tolerancing.sampling.monte_carlo_result import MonteCarloResult
 from rfem_jax.tolerancing.sampling.monte_carlo_study import first_samples, monte_carlo_samples
 from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo as sample_problem
 from rfem_jax.tolerancing.sampling.sampled_studies import SampleStudy
-from rfem_jax.tolerancing.sampling.statistics import Estimate
 
 MOST_PANELS = 12
 MOST_EACH = 4  # errors and metrics of a scatter matrix
@@ -88,8 +88,8 @@ class MonteCarloReport(SampledReport[MonteCarloTask, MonteCarloResult]):
             "confidence": result.confidence,
             "sampling": result.sampling,
             "metrics": {metric: _statistics(result, metric) for metric in result.metrics},
-            "joint_yield_of_good": None if together is None else _estimate(together.of_good),
-            "joint_yield_of_all": None if together is None else _estimate(together.of_all),
+            "joint_yield_of_good": None if together is None else asdict(together.of_good),
+            "joint_yield_of_all": None if together is None else asdict(together.of_all),
             "control_note": result.control_note,
             "units": metric_units(result.metrics, result.metric_units),
         }
@@ -122,30 +122,26 @@ class MonteCarloReport(SampledReport[MonteCarloTask, MonteCarloResult]):
         return figures if result.sobol_indices is None else figures | {"sobol": sobol_figure(self.study, result)}
 
 
-def _estimate(estimate: Estimate) -> dict[str, float]:
-    return {"value": estimate.value, "low": estimate.low, "high": estimate.high}
-
-
 def _statistics(result: MonteCarloResult, metric: str) -> dict[str, Any]:
     found = result.statistics[metric]
     one = {
-        "mean": _estimate(found.mean),
-        "std": _estimate(found.std),
-        "quantiles": {f"{q:g}": _estimate(e) for q, e in found.quantiles.items()},
+        "mean": asdict(found.mean),
+        "std": asdict(found.std),
+        "quantiles": {f"{q:g}": asdict(e) for q, e in found.quantiles.items()},
         "smallest": found.smallest,
         "largest": found.largest,
     }
     if metric in result.yields:
         one["limits"] = result.limits[metric]
-        one["yield_of_good"] = _estimate(result.yields[metric].of_good)
-        one["yield_of_all"] = _estimate(result.yields[metric].of_all)
+        one["yield_of_good"] = asdict(result.yields[metric].of_good)
+        one["yield_of_all"] = asdict(result.yields[metric].of_all)
     if result.sobol_indices is not None:
         indices = result.sobol_indices[metric]
-        one["first_order_indices"] = {k: _estimate(v) for k, v in indices.first_order.items()}
-        one["total_indices"] = {k: _estimate(v) for k, v in indices.total.items()}
+        one["first_order_indices"] = {k: asdict(v) for k, v in indices.first_order.items()}
+        one["total_indices"] = {k: asdict(v) for k, v in indices.total.items()}
     controlled = (result.controlled_means or {}).get(metric)
     if controlled is not None:
-        one["controlled_mean"] = _estimate(controlled.mean)
+        one["controlled_mean"] = asdict(controlled.mean)
         one["variance_reduction"] = controlled.variance_reduction
     return one
 

@@ -20,7 +20,7 @@ from rfem_jax.report.style import BAR_COLOURS, HATCHES, add_titles, new_figure, 
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_files import metric_units
 from rfem_jax.report.tasks.task_report import GRADIENT, TaskReport, as_stage
-from rfem_jax.text_layout import align_columns, wrap_lines
+from rfem_jax.text_layout import wrap_lines
 from rfem_jax.tolerancing.contributions import VarianceShares
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.sensitivities import Sensitivities
@@ -73,7 +73,9 @@ class SensitivityReport(TaskReport[SensitivityTask, Derivatives]):
         return result.found.status == "ok"
 
     def text(self, result: Derivatives) -> str:
-        return sensitivity_text(*result)
+        """The result, and what kinks and missing damping mean for it."""
+        undamped = [UNDAMPED] if result.undamped else []
+        return "\n\n".join([str(result.found), *map(wrap_lines, kink_notes(result.found)), *undamped])
 
     def write(self, folder: Path, result: Derivatives) -> list[Path]:
         """Write sensitivity.json and sensitivity.csv (one row per metric and error, ranked)."""
@@ -85,7 +87,7 @@ class SensitivityReport(TaskReport[SensitivityTask, Derivatives]):
             "mode": found.mode,
             "errors": list(found.names),
             "half_widths": dict(zip(found.names, found.scale, strict=True)),
-            "remarks": [" ".join(one.split()) for one in kink_notes(found)],
+            "remarks": kink_notes(found),
             "metrics": {metric: _metric_content(found, m) for m, metric in enumerate(found.metrics)},
             "units": metric_units(found.metrics, found.metric_units),
         }
@@ -110,40 +112,10 @@ class SensitivityReport(TaskReport[SensitivityTask, Derivatives]):
         return figures
 
 
-def sensitivity_text(result: Sensitivities, undamped: bool) -> str:
-    """Tables, principal directions, change with the step, and what damping means for them."""
-    parts = [str(result)]
-    if result.hessian is not None and len(result.names) > 1:
-        lines = []
-        for metric in result.metrics:
-            value, direction = result.principal_directions(metric)[0]
-            # Number and name stay together where a line is broken.
-            words = ", ".join(f"{part:+.2f}\0{name}" for name, part in direction.items())
-            text = f"{metric}: 1/2 eigenvalue {0.5 * value:.5g}, direction {words}"
-            lines.append(wrap_lines(text, indent=4).replace("\0", " "))
-        head = "Combination of errors (in tolerances) that raises each metric most: the first "
-        head += "principal direction"
-        parts.append("\n".join([head, *lines]))
-    if result.shares is not None:
-        parts.append(result.shares_table())
-    if result.gradient_change is not None:
-        header = ["metric", "largest change of a gradient", "change of the Hessian"]
-        changes = [np.nan] * len(result.metrics)
-        if result.hessian_change is not None:
-            changes = result.hessian_change
-        rows = [
-            [metric, f"{np.max(gradient):.1e}", f"{change:.1e}" if change == change else "-"]
-            for metric, gradient, change in zip(result.metrics, result.gradient_change, changes, strict=True)
-        ]
-        head = "Change with the finer step (of each error's effect, of the largest |H|)"
-        parts.append(f"{head}\n{align_columns(header, rows)}")
-    return "\n\n".join([*parts, *kink_notes(result), *([UNDAMPED] if undamped else [])])
-
-
 def kink_notes(result: Sensitivities) -> list[str]:
     """A sentence on the metrics whose derivatives jump where another instant is that of the maximum."""
     names = kinked(result.metrics)
-    return [wrap_lines(f"{', '.join(names)}: {KINKED}")] if names else []
+    return [f"{', '.join(names)}: {KINKED}"] if names else []
 
 
 def _metric_content(result: Sensitivities, m: int) -> dict[str, Any]:

@@ -18,8 +18,7 @@ from jaxtyping import Float, Int
 from rfem_jax.description.basics.errors import InputError, require_choice
 from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.description.tasks.settings import MOST_SAMPLES, whole_number
-from rfem_jax.labelled_data import DataFrame, column_name, frame
-from rfem_jax.text_layout import align_columns, wrap_lines
+from rfem_jax.labelled_data import Arrays, Labelled, LabelledResult, Parts, Table, column_name, named_dimension
 from rfem_jax.tolerancing.checks import ErrorValue, ErrorValues, check_known, error_value
 from rfem_jax.tolerancing.designs.response_surface import ResponseSurface, fit_response_surface
 from rfem_jax.tolerancing.layout import show_error, show_number
@@ -36,7 +35,7 @@ Bounds = Mapping[str, tuple[ErrorValue, ErrorValue]]
 
 
 @dataclass(frozen=True, eq=False)
-class SweepResult:
+class SweepResult(LabelledResult):
     """Metrics over ranges of errors.
 
     names, error_units, bounds (k): of the errors that vary, "rad" or "m", (low, high); metrics, metric_units, labels
@@ -67,6 +66,8 @@ class SweepResult:
         """Number of points that did not fail."""
         return int(np.sum(self.status == 0))
 
+    index = ("point",)
+
     def rows(self) -> list[dict[str, Any]]:
         """A row per point: status, errors and metrics, with their units in the names of the columns; with a response
         surface also its value at every point."""
@@ -83,28 +84,47 @@ class SweepResult:
             out.append(row)
         return out
 
-    def to_pandas(self) -> DataFrame:
-        """These rows as a `pandas.DataFrame`. Raises: ModuleNotFoundError without the extra `xarray`."""
-        return frame(self.rows(), ["point"])
+    def arrays(self) -> Arrays:
+        """All points over `point`, the ranges over `end`, and of a response surface its accuracy over `metric`."""
+        surface, of_point, metric = self.surface, ("point", "metric"), ("metric",)
+        of_errors, unit = ("point", "error"), "in metric_unit"
+        variables = {
+            "error_value": Labelled(of_errors, self.errors, "", "errors and numbers of the points, in error_unit"),
+            "value": Labelled(of_point, self.values, "", f"metrics of the points, {unit}; NaN: it failed"),
+            "status": Labelled(("point",), self.status, "", "0: good"),
+            "bounds": Labelled(("error", "end"), self.bounds, "", "range, in error_unit"),
+        }
+        if surface is not None:
+            effect = "change over the range by the response surface"
+            variables |= {
+                "surface": Labelled(of_point, surface(self.errors), "", f"response surface at the points, {unit}"),
+                "effect": Labelled(("metric", "error"), surface.effects(), "", f"{effect}, {unit}"),
+                "cross_validated_error": Labelled(metric, surface.cross_validated, "", f"of the surface, {unit}"),
+                "explained": Labelled(metric, surface.explained, "1", "part of the variance that the surface explains"),
+            }
+        coordinates = {"point": Labelled(("point",), np.arange(len(self.status)), "1", "number of the point")}
+        coordinates |= named_dimension("metric", self.metrics, self.metric_units) | {"end": ("low", "high")}
+        coordinates |= named_dimension("error", self.names, self.error_units)
+        attributes = {"title": "Sweep", "design": self.design, "good": self.good, "surface_note": self.surface_note}
+        return variables, coordinates, attributes
 
-    def __str__(self) -> str:
+    def parts(self) -> Parts:
+        """The ranges, the extremes of all metrics, and how good a response surface is."""
         size = f"{self.levels} levels of each" if self.design == "grid" else "Sobol' points"
         head = f"Sweep over {len(self.names)} quantities: {len(self.status)} points ({size}), "
         head += f"{len(self.status) - self.good} failed"
-        lines = [wrap_lines(head), self._ranges(), "", self._extremes()]
-        if self.surface is not None:
-            lines += ["", "Response surface (quadratic)", self._surface_table(self.surface)]
-        else:
-            lines += ["", wrap_lines(f"No response surface: {self.surface_note}")]
-        return "\n".join(lines)
+        parts = [head, self._ranges(), "", self._extremes(), ""]
+        if self.surface is None:
+            return [*parts, f"No response surface: {self.surface_note}"]
+        return [*parts, "Response surface (quadratic)", self._surface_table(self.surface)]
 
-    def _ranges(self) -> str:
+    def _ranges(self) -> Table:
         ends = zip(self.names, self.error_units, self.bounds, strict=True)
-        return align_columns(
+        return Table(
             ["quantity", "from", "to"], [[name, *(show_error(end, unit) for end in pair)] for name, unit, pair in ends]
         )
 
-    def _extremes(self) -> str:
+    def _extremes(self) -> Table:
         rows = []
         for j, (metric, unit) in enumerate(zip(self.metrics, self.metric_units, strict=True)):
             column = self.values[:, j]
@@ -114,9 +134,9 @@ class SweepResult:
                     pairs = zip(self.errors[i], self.error_units, strict=True)
                     where = [show_error(e, of, 4) for e, of in pairs]
                     rows.append([f"{metric} [{unit or 1}]", word, show_number(column[i]), *where])
-        return align_columns(["metric", "", "value", *self.names], rows)
+        return Table(["metric", "", "value", *self.names], rows)
 
-    def _surface_table(self, surface: ResponseSurface) -> str:
+    def _surface_table(self, surface: ResponseSurface) -> Table:
         effects = surface.effects()
         rows = [
             [
@@ -127,7 +147,7 @@ class SweepResult:
             ]
             for j, (metric, unit) in enumerate(zip(self.metrics, self.metric_units, strict=True))
         ]
-        return align_columns(
+        return Table(
             ["metric", "cross-validated error", "explained", *(f"effect of {name}" for name in self.names)], rows
         )
 

@@ -3,14 +3,24 @@
 Place in the pipeline: output of the reliability study, input of tables, pictures and files.
 """
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from rfem_jax.labelled_data import DataFrame, column_name, frame
-from rfem_jax.text_layout import align_columns, wrap_lines
+from rfem_jax.labelled_data import (
+    ESTIMATE,
+    Arrays,
+    Labelled,
+    LabelledResult,
+    Parts,
+    Table,
+    column_name,
+    limit_coordinates,
+    named_dimension,
+    text_array,
+)
 from rfem_jax.tolerancing.layout import show_error, show_number
 from rfem_jax.tolerancing.sampling.statistics import Estimate
 
@@ -70,7 +80,7 @@ class LimitFailure:
 
 
 @dataclass(frozen=True, eq=False)
-class ReliabilityResult:
+class ReliabilityResult(LabelledResult):
     """Result of a reliability study.
 
     names, error_units (k) of the errors; limits, one `LimitFailure` for every finite end; any_limit: probability that
@@ -95,6 +105,8 @@ class ReliabilityResult:
             return "failed"
         return "uncertain" if any(one.status == "uncertain" for one in self.limits) else "ok"
 
+    index = ("metric", "side")
+
     def rows(self) -> list[dict[str, Any]]:
         """A row per limit; `unit` is that of `limit` and `nominal`."""
         columns = {n: column_name(n, unit) for n, unit in zip(self.names, self.error_units, strict=True)}
@@ -110,11 +122,32 @@ class ReliabilityResult:
             out.append(row | {columns[name]: one.errors.get(name, float("nan")) for name in self.names})
         return out
 
-    def to_pandas(self) -> DataFrame:
-        """These rows as a `pandas.DataFrame`. Raises: ModuleNotFoundError without the extra `xarray`."""
-        return frame(self.rows(), ["metric", "side"])
+    def arrays(self) -> Arrays:
+        """Limits over `limit_number`, probabilities with their intervals over `estimate`, errors over `error`."""
+        each, of_limit, interval = self.limits, ("limit_number",), ("limit_number", "estimate")
+        errors = np.reshape([[one.errors.get(name, np.nan) for name in self.names] for one in each], (len(each), -1))
+        variables = {
+            "limit": Labelled(of_limit, [one.limit for one in each], "", "in limit_unit"),
+            "nominal": Labelled(of_limit, [one.nominal for one in each], "", "of the metric, in limit_unit"),
+            "status": Labelled(of_limit, text_array(one.status for one in each), "", "of the probability"),
+            "method": Labelled(of_limit, text_array(one.method for one in each), "", "that the probability is by"),
+            "beta": Labelled(of_limit, [one.beta for one in each], "1", "reliability index"),
+            "first_order": Labelled(of_limit, [one.first_order for one in each], "1", "probability by FORM"),
+            "probability": Labelled(
+                interval, [astuple(one.probability) for one in each], "1", "that a limit is broken"
+            ),
+            "subset_simulation": Labelled(
+                interval, [astuple(one.subset_simulation) for one in each], "1", "the probability by subset simulation"
+            ),
+            "any_limit": Labelled(("estimate",), astuple(self.any_limit), "1", "probability that any limit is broken"),
+            "error_value": Labelled((*of_limit, "error"), errors, "", "most probable errors that break it, error_unit"),
+        }
+        coordinates = named_dimension("error", self.names, self.error_units) | limit_coordinates(each)
+        attributes = {"title": "Reliability", "status": self.status, "samples": self.samples, "failed": self.failed}
+        return variables, coordinates | {"estimate": ESTIMATE}, attributes | {"confidence": self.confidence}
 
-    def __str__(self) -> str:
+    def parts(self) -> Parts:
+        """The probabilities, at which errors limits break, and the yield."""
         head = f"Reliability: {self.samples} samples where limits fail, {self.failed} of them failed simulations; "
         head += f"intervals of {100 * self.confidence:g} % confidence"
         table = [
@@ -129,16 +162,16 @@ class ReliabilityResult:
         ]
         table.append(["any limit", "", "", _short(self.any_limit), ""])
         header = ["limit", "beta", "FORM", "probability that it is broken", "check"]
-        lines = [wrap_lines(head), align_columns(header, table)]
+        parts: list[str | Table] = [head, Table(header, table)]
         unit = dict(zip(self.names, self.error_units, strict=True))
         for one in self.limits:
             texts = one.remarks()
             if one.errors:
                 worst = ", ".join(f"{name} {show_error(e, unit[name], 4)}" for name, e in one.errors.items())
-                parts = ", ".join(f"{name} {100 * part:.3g} %" for name, part in one.shares.items())
-                texts = [f"breaks most probably at {worst}; shares {parts}", *texts]
-            lines += [wrap_lines(f"{one.metric} ({one.side}): {text}", indent=4) for text in texts]
-        return "\n".join([*lines, wrap_lines(f"Yield of all limits: {1.0 - self.any_limit.value:.9g}")])
+                shares = ", ".join(f"{name} {100 * part:.3g} %" for name, part in one.shares.items())
+                texts = [f"breaks most probably at {worst}; shares {shares}", *texts]
+            parts += [f"{one.metric} ({one.side}): {text}" for text in texts]
+        return [*parts, f"Yield of all limits: {1.0 - self.any_limit.value:.9g}"]
 
 
 def _short(estimate: Estimate) -> str:

@@ -3,13 +3,13 @@
 Place in the pipeline: allocation, optimisation -> **result** -> reports.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 import numpy as np
 
-from rfem_jax.text_layout import align_columns, wrap_lines
+from rfem_jax.labelled_data import Parts, Table
 from rfem_jax.tolerancing.labelled_designs import LabelledAllocation, LabelledOptimum, LabelledSolution
 from rfem_jax.tolerancing.layout import show_error, show_number
 
@@ -92,25 +92,31 @@ class Solution(LabelledSolution):
         limits = [{name: getattr(check, name) for name in names} for check in self.limits]
         return {one.name: getattr(self, one.name) for one in fields(self)} | {"limits": limits}
 
-    def _text(self, tables: Sequence[str], after: Mapping[str, str], tail: Sequence[str]) -> str:
-        """The answer in words: limits with the columns `after` the interval, {column: name}, and `tail`."""
+    def parts(self) -> Parts:
+        """The answer in words: what was found, the limits, the yield, and what it took."""
         columns = self.limit_numbers[: self.limit_numbers.index("verified") + 1]
-        header = ["limit", "value", *columns[1:], "interval", *after]
+        header = ["limit", "value", *columns[1:], "interval", "margin", "price"]
         rows = []
         for check in self.limits:
             ends = (show_number(end, scale=check.limit) for end in check.verified_interval)
             numbers = (show_number(getattr(check, name), scale=check.limit) for name in columns)
-            last = (show_number(getattr(check, name)) for name in after.values())
+            last = (show_number(check.margin), show_number(check.shadow_price))
             rows.append([f"{check.metric} [{check.unit or 1}]", *numbers, " to ".join(ends), *last])
-        parts = [self._head(), wrap_lines(self.message), *tables, *([align_columns(header, rows)] if rows else [])]
-        if np.isfinite(self.verified_yield):
-            low, high = self.yield_interval
-            parts.append(f"verified yield {self.verified_yield:.5f} ({low:.5f} to {high:.5f})")
-        return "\n".join(part for part in (*parts, *tail) if part)
+        low, high = self.yield_interval
+        within = f"verified yield {self.verified_yield:.5f} ({low:.5f} to {high:.5f})"
+        sure = [within] if np.isfinite(self.verified_yield) else []
+        message = [self.message] if self.message else []
+        tables = [one for one in (*self._found(), Table(header, rows)) if one.rows]
+        return [self._head(), *message, *tables, *sure, *self._effort()]
 
-    def _tolerance_table(self) -> str:
+    def _found(self) -> Sequence[Table]:
+        """What was found, a table a kind."""
         rows = [[name, self._show(name, t), self._width_bound(name)] for name, t in self.tolerances.items()]
-        return align_columns(["error", "tolerance", "bound"], rows) if rows else ""
+        return [Table(["error", "tolerance", "bound"], rows)]
+
+    def _effort(self) -> Sequence[str]:
+        """How the answer was verified, and what it took."""
+        return [f"verified by {self.verified_by}; {self.failed} failed samples"]
 
     def _show(self, name: str, value: float) -> str:
         unit = self.units[name]
@@ -139,11 +145,9 @@ class Allocation(LabelledAllocation, Solution):
     def _head(self) -> str:
         return f"Allocation ({self.criterion}): {super()._head()}, cost {show_number(self.cost, 7)}"
 
-    def __str__(self) -> str:
-        tail = [f"verified by {self.verified_by}; {self.failed} failed samples"]
-        if np.isfinite(self.hessian_error):
-            tail.append(f"Hessian by differences of gradients, error {self.hessian_error:.0e}")
-        return self._text([self._tolerance_table()], {"margin": "verified_margin"}, tail)
+    def _effort(self) -> Sequence[str]:
+        accuracy = f"Hessian by differences of gradients, error {self.hessian_error:.0e}"
+        return [*super()._effort(), *([accuracy] if np.isfinite(self.hessian_error) else [])]
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,13 +181,13 @@ class DesignOptimum(LabelledOptimum, Solution):
         head = f"Optimum ({self.criterion.replace('_', ' ')}): {super()._head()}"
         return f"{head}, objective {show_number(self.objective, 7)} ({terms})"
 
-    def __str__(self) -> str:
+    def _found(self) -> Sequence[Table]:
         rows = [
             [name, self._show(name, value), self._show(name, self.initial[name]), self.at_bounds.get(name, "")]
             for name, value in self.designs.items()
         ]
-        dimensions = align_columns(["dimension", "value", "before", "bound"], rows) if rows else ""
+        return [Table(["dimension", "value", "before", "bound"], rows), *super()._found()]
+
+    def _effort(self) -> Sequence[str]:
         effort = f"{self.simulations} simulations, {self.failed} failed; KKT residual {self.kkt_residual:.0e}"
-        tail = [wrap_lines(f"verified by {self.verified_by}; {effort}, best of {self.starts} starts")]
-        prices = {"margin": "margin", "price": "shadow_price"}
-        return self._text([dimensions, self._tolerance_table()], prices, tail)
+        return [f"verified by {self.verified_by}; {effort}, best of {self.starts} starts"]

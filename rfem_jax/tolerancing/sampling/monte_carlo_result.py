@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from rfem_jax.labelled_data import Parts, Table
 from rfem_jax.mechanics.elements.linear_validity import REMARKABLE_LINEAR_ERROR
-from rfem_jax.text_layout import align_columns, wrap_lines
 from rfem_jax.tolerancing.labelled_results import LabelledMonteCarlo
 from rfem_jax.tolerancing.layout import show_number
 from rfem_jax.tolerancing.sampling.statistics import ControlledMean, Estimate, SobolIndices
@@ -102,50 +102,51 @@ class MonteCarloResult(LabelledMonteCarlo):
             return np.zeros(0)
         return self.linear_errors[: self.samples][self.status[: self.samples] == 0]
 
-    def __str__(self) -> str:
+    def parts(self) -> Parts:
+        """Statistics with their intervals, yields, and what else was asked for."""
         failed = self.samples - self.good
         causes = ", ".join(f"{count} {cause}" for cause, count in self.failures.items())
         kind = "from independent nets" if self.sampling == "sobol" else "of independent samples"
         head = f"Monte Carlo: {self.samples} samples ({self.sampling}), {failed} failed"
         head += f" ({causes})" if causes else ""
         head += f"; intervals of {100 * self.confidence:g} % confidence, {kind}"
-        lines = [wrap_lines(head), self._statistics_table()]
+        parts: list[str | Table] = [head, self._statistics_table()]
         if self.joint_yield is not None:
-            lines += ["", self._yield_table(self.joint_yield)]
+            parts += ["", self._yield_table(self.joint_yield)]
         if self.sobol_indices is not None:
-            lines += ["", self._index_table(self.sobol_indices)]
+            parts += ["", self._index_table(self.sobol_indices)]
         if self.controlled_means:
-            lines += ["", self._control_table(self.controlled_means)]
-        return "\n".join(lines + [wrap_lines(note) for note in (self.control_note, self.remark) if note])
+            parts += ["", self._control_table(self.controlled_means)]
+        return [*parts, *(note for note in (self.control_note, self.remark) if note)]
 
-    def _statistics_table(self):
+    def _statistics_table(self) -> Table:
         fractions = list(next(iter(self.statistics.values())).quantiles)
         header = ["metric", "mean", "std", *(f"{100 * q:g} %" for q in fractions)]
         rows = [
             [f"{name} [{unit or 1}]", str(s.mean), str(s.std), *(str(s.quantiles[q]) for q in fractions)]
             for (name, s), unit in zip(self.statistics.items(), self.metric_units, strict=True)
         ]
-        return align_columns(header, rows)
+        return Table(header, rows)
 
-    def _yield_table(self, together):
+    def _yield_table(self, together: Yield) -> Table:
         rows = [
             [name, *map(show_number, self.limits[name]), str(y.of_good), str(y.of_all)]
             for name, y in self.yields.items()
         ]
         rows.append(["all limits", "", "", str(together.of_good), str(together.of_all)])
-        return align_columns(["limit", "low", "high", "yield of good", "yield of all"], rows)
+        return Table(["limit", "low", "high", "yield of good", "yield of all"], rows)
 
-    def _index_table(self, found):
+    def _index_table(self, found: dict[str, SobolIndices]) -> Table:
         rows = [
             [name, factor, str(indices.first_order[factor]), str(indices.total[factor])]
             for name, indices in found.items()
             for factor in indices.total
         ]
-        return align_columns(["metric", "factor", "first-order index", "total index"], rows)
+        return Table(["metric", "factor", "first-order index", "total index"], rows)
 
-    def _control_table(self, found):
+    def _control_table(self, found: dict[str, ControlledMean]) -> Table:
         rows = [
             [name, str(c.mean), show_number(c.variance_reduction), show_number(c.coefficient)]
             for name, c in found.items()
         ]
-        return align_columns(["metric", "controlled mean", "variance ratio", "coefficient"], rows)
+        return Table(["metric", "controlled mean", "variance ratio", "coefficient"], rows)

@@ -1,8 +1,8 @@
-"""Names, units and labels of everything that is reported.
+"""Names, units and labels of everything that a run has and that is reported.
 
-Place in the pipeline: read by `summary`, `tables`, `files` and `figures`, so that a quantity is
-called the same, and has the same unit, in the terminal, in `results.json`, in the CSV files and
-in the pictures. SI units and radians throughout.
+Place in the pipeline: read by `labelled_runs` and by `summary`, `tables`, `files` and `figures` of `report`, so that a
+quantity is called the same, and has the same unit, in a Dataset, in a notebook, in the terminal, in `results.json`, in
+the CSV files and in the pictures. SI units and radians throughout.
 """
 
 from dataclasses import dataclass
@@ -35,6 +35,10 @@ MAX_NORMAL_FORCE = Quantity(
 )
 MAX_FORCE = Quantity("max_force", "N", "Maximum resultant force", "largest of all steps of the run")
 MAX_MOMENT = Quantity("max_moment", "N m", "Maximum resultant moment", "largest of all steps of the run")
+MEAN_SQUARES = (
+    Quantity("mean_square_force", "N^2", "Mean square of the resultant force", "over the whole run"),
+    Quantity("mean_square_moment", "(N m)^2", "Mean square of the resultant moment", "over the whole run"),
+)
 JOINT_METRICS = (RMS_FORCE, RMS_MOMENT, MAX_FORCE, MAX_MOMENT, MAX_AXIAL_FORCE, MAX_NORMAL_FORCE)
 
 PRELOAD_FORCE = Quantity(
@@ -98,6 +102,9 @@ LINEAR_ERROR = Quantity(
     "estimated, relative to the deflections of the link that is worst",
 )
 CHECKS = (*BALANCES, LINEAR_ERROR)
+HINGE_MOMENT_ERROR = Quantity(
+    "hinge_moment_error", "", "Moment about free axes", "beyond the forces in the joints, relative"
+)
 
 ENERGIES = (
     Quantity("kinetic", "J", "Kinetic energy", "of all links"),
