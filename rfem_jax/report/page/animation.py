@@ -184,7 +184,7 @@ def _fits(description: Any, cases: list[Arrays]) -> bool:
     counts = {**dict.fromkeys(map(str, ACTING), len(forces)), **dict.fromkeys(map(str, PATHS), len(paths))}
     of_parts = {part: (count, 3) for part, count in counts.items()}
     return names and all(
-        values.shape == (len(case["times"]), *of_parts.get(part, shapes.get(part.rpartition("_")[2], ())))
+        values.shape == (len(case["times"]), *(of_parts.get(part) or shapes.get(part.rpartition("_")[2]) or ()))
         and np.issubdtype(values.dtype, np.floating)
         for case in cases
         for part, values in case.items()
