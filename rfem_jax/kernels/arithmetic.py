@@ -55,36 +55,41 @@ class Arithmetic:
         self.builder = builder
 
     def _binary(self, float_op: str, int_op: str, a: Entry, b: Entry) -> Value:
-        kind = common_kind((a, b))
+        kind = a.kind if isinstance(a, Value) else common_kind((a, b))
         if kind == "b":
             raise Unsupported(f"{int_op} of conditions")
-        name = float_op if kind == "d" else int_op
         build = self.builder
-        return build.operation(kind, f"{name} #{kind} {build.operand(a, kind)}, {build.operand(b, kind)}")
+        left = a.name if isinstance(a, Value) else build.operand(a, kind)
+        right = b.name if isinstance(b, Value) else build.operand(b, kind)
+        return build.operation(kind, f"{float_op if kind == 'd' else int_op} #{kind} {left}, {right}")
+
+    # Sums and products are most of all operations: they ask once what is known.
 
     def add(self, a: Entry, b: Entry) -> Entry:
-        if is_known(a) and is_known(b):
+        if isinstance(a, Value):
+            if not isinstance(b, Value) and b == 0:
+                return a
+        elif not isinstance(b, Value):
             return a + b
-        if is_known(a) and a == 0:
+        elif a == 0:
             return b
-        if is_known(b) and b == 0:
-            return a
         return self._binary("fadd", "add", a, b)
 
     def subtract(self, a: Entry, b: Entry) -> Entry:
-        if is_known(a) and is_known(b):
+        if isinstance(a, Value):
+            if not isinstance(b, Value) and b == 0:
+                return a
+        elif not isinstance(b, Value):
             return a - b
-        if is_known(b) and b == 0:
-            return a
-        if is_known(a) and a == 0:
+        elif a == 0:
             return self.negative(b)
         return self._binary("fsub", "sub", a, b)
 
     def multiply(self, a: Entry, b: Entry) -> Entry:
-        if is_known(b):
+        if not isinstance(b, Value):
             a, b = b, a
-        if is_known(a):
-            if is_known(b):
+        if not isinstance(a, Value):
+            if not isinstance(b, Value):
                 return a * b
             if a == 0:
                 return a

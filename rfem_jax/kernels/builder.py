@@ -4,12 +4,16 @@ Place in the pipeline: **builder** -> arithmetic, loops, emission -> machine_cod
 
 Every value of a program is a vector over lanes; a lane is a sample, and no operation looks from one lane at another,
 but for the decision whether a loop goes on or a branch is entered at all.  The text is the same for any number of
-lanes: it has marks in place of the types, which `Program.text` fills in.
+lanes: it has marks in place of the types, which `filled` fills in.  With a single lane there are no vectors, of which
+LLVM's fast selection knows none of one entry: what it does not know takes three times as long.
 
     #d #b #i #u #l vectors of double, of i1, of i32 (twice), of i64
-    #n             the number of lanes
+    #p             a vector of pointers
+    #v             v8 for eight lanes: so a type begins in the name of an intrinsic function
     #(k)           the size of k vectors of 8 bytes a lane, in bytes
     #lanes         0, 8, 16, ...: the place of every lane within such a vector, in bytes
+    #[a|b]         a for vectors, b for a single lane
+    splat (n)      a number in all lanes
 
 A value is in a register, or in the workspace: memory of the caller, in slots of 8 bytes a lane.  What goes around in a
 loop is kept in slots, which keeps the time of compilation linear in the length of the program; so does a new basic
@@ -18,7 +22,7 @@ block after every few hundred operations.
 
 import re
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import Any
 
 import numpy as np
@@ -26,7 +30,9 @@ import numpy as np
 OPERATIONS_OF_A_BLOCK = 300
 MOST_OPERATIONS = 2_000_000  # of a program: LLVM takes 20 us for each, and some kB of memory; XLA far more
 TURNS = 8  # of a loop, where it is not known how many there will be
-MARKS = re.compile(r"#(?:\((-?\d+)\)|lanes|[dbiuln])")
+ALTERNATIVES = re.compile(r"#\[(.*?)\|(.*?)\]")
+MARKS = re.compile(r"#(?:\((-?\d+)\)|lanes|[dbiulpv])")
+SPLAT = re.compile(r"splat \(\w+ (\S+)\)")
 
 
 class Value:
@@ -107,14 +113,15 @@ class Builder:
         self.intrinsics: dict[str, str] = {}
         self.tables: dict[str, str] = {}  # arrays of known numbers, by their text
         self.functions: dict[str, tuple[int, str]] = {}  # how many results, and text
-        self._scopes: list[dict[str, Value]] = [{}]
+        self._known: dict[Hashable, Value] = {}  # values of operations, and of slots that are written no more
+        self._scopes: list[list[Hashable]] = [[]]  # which of these every scope has found
         self._names = 0
         self._in_block = 0
         self._turns = 1
 
     # Names and text
 
-    def fresh(self, prefix: str = "v") -> str:
+    def fresh(self, prefix: str) -> str:
         self._names += 1
         return f"{prefix}{self._names}"
 
@@ -134,11 +141,13 @@ class Builder:
 
     def operation(self, kind: str, text: str) -> Value:
         """The value of an operation of vectors that depends on its operands alone."""
-        for scope in reversed(self._scopes):
-            if text in scope:
-                return scope[text]
-        value = self._fresh_value(kind, text)
-        self._scopes[-1][text] = value
+        found = self._known.get(text)
+        return self._noted(text, self._fresh_value(kind, text)) if found is None else found
+
+    def _noted(self, key: Hashable, value: Value) -> Value:
+        """The value, which is found again until the scope ends."""
+        self._known[key] = value
+        self._scopes[-1].append(key)
         return value
 
     def _fresh_value(self, kind: str, text: str) -> Value:
@@ -152,9 +161,10 @@ class Builder:
             # LLVM makes one block of two, and takes long for it, where the first can only go on with the second.
             self.line(f"br i1 %never, label %nowhere, label %{label}")
             self.begin(label)
-        value = Value(f"%{self.fresh()}", kind)
-        self.line(f"{value.name} = {text}")
-        return value
+        self._names += 1
+        name = f"%v{self._names}"
+        self.lines.append(f"{name} = {text}")
+        return Value(name, kind)
 
     def operand(self, entry: Entry, kind: str) -> str:
         """An entry as an operand, without its type."""
@@ -168,7 +178,7 @@ class Builder:
 
     def call(self, function: str, kind: str, *entries: Entry) -> Value:
         """An intrinsic function of LLVM, `llvm.NAME`, of doubles."""
-        suffix = f"v#n{'f64' if kind == 'd' else 'i32' if kind == 'i' else 'i64'}"
+        suffix = f"#v{'f64' if kind == 'd' else 'i32' if kind == 'i' else 'i64'}"
         types = ", ".join([f"#{kind}"] * len(entries))
         name = f"@llvm.{function}.{suffix}"
         self.intrinsics[name] = f"declare #{kind} {name}({types})"
@@ -177,24 +187,25 @@ class Builder:
 
     def whole_number(self, kind: str, value: Value) -> Value:
         """A double without its fraction, the nearest number there is, zero of what is not a number: as XLA has it."""
-        name = f"@llvm.fpto{'u' if kind == 'u' else 's'}i.sat.v#ni{64 if kind == 'l' else 32}.v#nf64"
+        name = f"@llvm.fpto{'u' if kind == 'u' else 's'}i.sat.#vi{64 if kind == 'l' else 32}.#vf64"
         self.intrinsics[name] = f"declare #{kind} {name}(#d)"
         return self.operation(kind, f"call #{kind} {name}(#d {value.name})")
 
     def any(self, mask: Value) -> str:
         """Whether a condition holds in any lane, as a scalar."""
-        self.intrinsics["any"] = "declare i1 @llvm.vector.reduce.or.v#ni1(#b)"
-        return self.scalar(f"call i1 @llvm.vector.reduce.or.v#ni1(#b {mask.name})")
+        self.intrinsics["any"] = "#[declare i1 @llvm.vector.reduce.or.#vi1(#b)|]"
+        return self.scalar(f"#[call i1 @llvm.vector.reduce.or.#vi1(#b {mask.name})|or i1 {mask.name}, false]")
 
     # Scopes: what was computed in a loop or a branch is not known after it.
 
     def inside(self, build: Callable[[], None], turns: int = 1) -> None:
         """Build what may be carried out never, or several times: about `turns`."""
-        self._scopes.append({})
+        self._scopes.append([])
         self._turns *= turns
         build()
         self._turns //= turns
-        self._scopes.pop()
+        for key in self._scopes.pop():
+            del self._known[key]
 
     def counted(self, length: int, turn: Callable[[str], None]) -> None:
         """A loop of a known number of turns, each given the counter, a scalar."""
@@ -236,12 +247,9 @@ class Builder:
 
     def load_once(self, kind: str, slot: int, rows: Rows = ()) -> Value:
         """The value in a slot that is written no more, loaded already or now."""
-        key = f"slot {kind} {slot} {rows}"
-        for scope in reversed(self._scopes):
-            if key in scope:
-                return scope[key]
-        value = self._scopes[-1][key] = self.load(kind, slot, rows)
-        return value
+        key = kind, slot, rows
+        found = self._known.get(key)
+        return self._noted(key, self.load(kind, slot, rows)) if found is None else found
 
     def store(self, entry: Entry, kind: str, slot: int, rows: Rows = ()) -> None:
         """Put an entry into a slot."""
@@ -253,14 +261,12 @@ class Builder:
 
     def gather(self, kind: str, slot: int, rows: Value) -> Value:
         """Values whose slot differs between lanes: `rows` (int64) after the given one."""
-        self.intrinsics["gather"] = "declare #d @llvm.masked.gather.v#nf64.v#np0(<#n x ptr>, i32, #b, #d)"
         return self._gathered(kind, self._pointers(slot, rows))
 
     def _gathered(self, kind: str, pointers: str) -> Value:
-        text = (
-            f"call #d @llvm.masked.gather.v#nf64.v#np0(<#n x ptr> {pointers}, i32 8, "
-            "#b splat (i1 true), #d zeroinitializer)"
-        )
+        self.intrinsics["gather"] = "#[declare #d @llvm.masked.gather.#vf64.#vp0(#p, i32, #b, #d)|]"
+        of_lanes = f"#p {pointers}, i32 8, #b splat (i1 true), #d zeroinitializer"
+        text = f"#[call #d @llvm.masked.gather.#vf64.#vp0({of_lanes})|load #d, ptr {pointers}]"
         stored = self._fresh_value("d", text)
         if kind == "d":
             return stored
@@ -278,7 +284,6 @@ class Builder:
 
     def gather_of_table(self, kind: str, table: str, place: int, rows: Value) -> Value:
         """Numbers of a table, `rows` (int64) after a place."""
-        self.intrinsics["gather"] = "declare #d @llvm.masked.gather.v#nf64.v#np0(<#n x ptr>, i32, #b, #d)"
         offsets = self.operation("l", f"mul #l {rows.name}, splat (i64 8)")
         base = self.scalar(f"getelementptr i8, ptr {table}, i64 {8 * place}")
         pointers = self.scalar(f"getelementptr i8, ptr {base}, #l {offsets.name}")
@@ -289,22 +294,22 @@ class Builder:
         single, name = ("double", "#d") if kind == "d" else ("i64", "#l")
         at = self.scalar(f"getelementptr {single}, ptr {table}, i64 {place}")
         number = self.scalar(f"load {single}, ptr {at}")
-        lane = self.scalar(f"insertelement {name} poison, {single} {number}, i64 0")
-        all_lanes = self.scalar(f"shufflevector {name} {lane}, {name} poison, <#n x i32> zeroinitializer")
+        same = f"bitcast {single} {number} to {single}"
+        lane = self.scalar(f"#[insertelement {name} poison, {single} {number}, i64 0|{same}]")
+        all_lanes = self.scalar(f"#[shufflevector {name} {lane}, {name} poison, #i zeroinitializer|{same}]")
         self.line(f"store {name} {all_lanes}, ptr {self.address(slot, rows)}")
 
     def scatter(self, entry: Entry, kind: str, slot: int, rows: Value) -> None:
         """Put an entry into slots that differ between lanes."""
-        self.intrinsics["scatter"] = "declare void @llvm.masked.scatter.v#nf64.v#np0(#d, <#n x ptr>, i32, #b)"
+        self.intrinsics["scatter"] = "#[declare void @llvm.masked.scatter.#vf64.#vp0(#d, #p, i32, #b)|]"
         value = self.operand(entry, kind)
         if kind in "biu":
             value = self.operation("l", f"{'sext' if kind == 'i' else 'zext'} #{kind} {value} to #l").name
         if kind != "d":
             value = self.operation("d", f"bitcast #l {value} to #d").name
         pointers = self._pointers(slot, rows)
-        self.line(
-            f"call void @llvm.masked.scatter.v#nf64.v#np0(#d {value}, <#n x ptr> {pointers}, i32 8, #b splat (i1 true))"
-        )
+        of_lanes = f"#d {value}, #p {pointers}, i32 8, #b splat (i1 true)"
+        self.line(f"#[call void @llvm.masked.scatter.#vf64.#vp0({of_lanes})|store #d {value}, ptr {pointers}]")
 
     def _pointers(self, slot: int, rows: Value) -> str:
         bytes_ = self.operation("l", f"mul #l {rows.name}, splat (i64 #(1))")
@@ -315,8 +320,13 @@ class Builder:
 
 def filled(text: str, lanes: int) -> str:
     """The text with types for a number of lanes."""
-    places = ", ".join(f"i64 {8 * lane}" for lane in range(lanes))
-    types = {"#d": "double", "#b": "i1", "#i": "i32", "#u": "i32", "#l": "i64"}
-    marks = {mark: f"<{lanes} x {name}>" for mark, name in types.items()}
-    marks |= {"#n": str(lanes), "#lanes": f"<{places}>"}
+    types = {"#d": "double", "#b": "i1", "#i": "i32", "#u": "i32", "#l": "i64", "#p": "ptr"}
+    if lanes == 1:
+        text = SPLAT.sub(r"\1", ALTERNATIVES.sub(r"\2", text))
+        marks = types | {"#v": "", "#lanes": "0"}
+    else:
+        text = ALTERNATIVES.sub(r"\1", text)
+        places = ", ".join(f"i64 {8 * lane}" for lane in range(lanes))
+        marks = {mark: f"<{lanes} x {name}>" for mark, name in types.items()}
+        marks |= {"#v": f"v{lanes}", "#lanes": f"<{places}>"}
     return MARKS.sub(lambda m: str(8 * lanes * int(m[1])) if m[1] else marks[m[0]], text)

@@ -10,7 +10,7 @@ Loops and branches are in `loops`.
 import functools
 import math
 from collections.abc import Callable, Hashable, Sequence
-from typing import Any, SupportsIndex
+from typing import Any, SupportsIndex, cast
 
 import jax
 import numpy as np
@@ -64,8 +64,10 @@ def expand_primitive(name: str, function: Callable) -> None:
 
 @functools.lru_cache(maxsize=MOST_EXPANSIONS)
 def _traced(function: Callable, settings: tuple[tuple[str, Any], ...], like: tuple) -> ClosedJaxpr:
-    """The jaxpr of a function with settings, for operands of given shapes: the same few come thousands of times."""
-    return jax.make_jaxpr(lambda *operands: function(*operands, **dict(settings)))(*like)
+    """The jaxpr of a function with settings, for operands of given shapes and types: the same few come thousands of
+    times."""
+    operands = (jax.ShapeDtypeStruct(*one) for one in like)
+    return jax.make_jaxpr(lambda *operands: function(*operands, **dict(settings)))(*operands)
 
 
 def expansion_of(equation: JaxprEqn) -> ClosedJaxpr:
@@ -73,7 +75,8 @@ def expansion_of(equation: JaxprEqn) -> ClosedJaxpr:
 
     **Raises:** `Unsupported` if it has none that can be traced.
     """
-    primitive, like = equation.primitive, tuple(shape_of(v) for v in equation.invars)
+    primitive, operands = equation.primitive, cast(list[Any], equation.invars)
+    like = tuple((x.aval.shape, x.aval.dtype) for x in operands)
     function, settings = _EXPANSIONS.get(primitive.name, primitive.impl), tuple(equation.params.items())
     traced = _traced if all(isinstance(x, Hashable) for _, x in settings) else _traced.__wrapped__
     try:

@@ -4,8 +4,9 @@ Place in the pipeline: builder -> **entries** -> memory, loops, emission.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import jax
 import numpy as np
@@ -19,15 +20,12 @@ Entries = np.ndarray  # of dtype object
 def entries_of(array) -> Entries:
     """Entries of an array of numbers that are known."""
     array = np.asarray(array)
-    return of_shape([array[place] for place in np.ndindex(*array.shape)], array.shape)
+    return of_shape(list(array.flat), array.shape)
 
 
-def of_shape(entries: Sequence[Entry], shape: Sequence[int]) -> Entries:
+def of_shape(entries: Iterable[Entry], shape: Sequence[int]) -> Entries:
     """An object array, filled one by one: NumPy would look into its entries."""
-    found = np.empty(math.prod(shape), object)
-    for i, entry in enumerate(entries):
-        found[i] = entry
-    return found.reshape(shape)
+    return np.fromiter(entries, object, math.prod(shape)).reshape(shape)
 
 
 def whole(entries) -> Entries:
@@ -46,8 +44,11 @@ def numbers(entries: Entries, dtype) -> np.ndarray | None:
 
 def each(function: Callable, parts: Sequence[Entries]) -> Entries:
     """A function of entries applied to each; arrays without axes are broadcast."""
-    shape = np.broadcast_shapes(*(x.shape for x in parts))
-    return of_shape(list(map(function, *(np.broadcast_to(x, shape).flat for x in parts))), shape)
+    shape = parts[0].shape
+    if any(x.shape != shape for x in parts):
+        shape = np.broadcast_shapes(*(x.shape for x in parts))
+        parts = [np.broadcast_to(x, shape) for x in parts]
+    return of_shape(map(function, *(x.flat for x in parts)), shape)
 
 
 def shape_of(variable: Any) -> jax.ShapeDtypeStruct:
@@ -55,15 +56,22 @@ def shape_of(variable: Any) -> jax.ShapeDtypeStruct:
     return jax.ShapeDtypeStruct(variable.aval.shape, variable.aval.dtype)
 
 
+_needed: WeakKeyDictionary[Jaxpr, list[JaxprEqn]] = WeakKeyDictionary()
+_sizes: WeakKeyDictionary[Jaxpr, int] = WeakKeyDictionary()
+
+
 def needed(jaxpr: Jaxpr) -> list[JaxprEqn]:
     """The equations of a jaxpr that its results depend on, or that do something besides."""
+    known = _needed.get(jaxpr)
+    if known is not None:
+        return known
     wanted = {v for v in jaxpr.outvars if isinstance(v, Var)}
     found = []
     for equation in reversed(jaxpr.eqns):
         if equation.effects or wanted.intersection(equation.outvars):
             found.append(equation)
             wanted.update(v for v in equation.invars if isinstance(v, Var))
-    return found[::-1]
+    return _needed.setdefault(jaxpr, found[::-1])
 
 
 def is_program(x) -> bool:
@@ -72,6 +80,8 @@ def is_program(x) -> bool:
 
 def size_of(program: ClosedJaxpr) -> int:
     """Roughly, how many operations on entries a jaxpr has, with the body of every loop once."""
+    if program.jaxpr in _sizes:
+        return _sizes[program.jaxpr]
     total = 0
 
     def size(variable: Any) -> int:
@@ -90,7 +100,7 @@ def size_of(program: ClosedJaxpr) -> int:
             total += 2 * terms * size(equation.outvars[0])
         else:
             total += sum(map(size, equation.outvars))
-    return total
+    return _sizes.setdefault(program.jaxpr, total)
 
 
 def _holds_equations(x) -> bool:

@@ -27,15 +27,15 @@ class Places:
             return [self._gathered_rows(equation, operand, indices)]
         numbers_, sizes = equation.params["dimension_numbers"], equation.params["slice_sizes"]
         places = known.shape[:-1]
-        taken = np.empty((*places, *sizes), object)
-        for place in np.ndindex(*places):
-            start = np.zeros(operand.ndim, int)
-            start[list(numbers_.start_index_map)] = known[place]
-            for axis, batch in zip(numbers_.operand_batching_dims, numbers_.start_indices_batching_dims):
-                start[axis] = place[batch]
-            if (start < 0).any() or (start + sizes > operand.shape).any():
-                raise Unsupported("gather of what is outside of an array")
-            taken[place] = operand[tuple(slice(a, a + size) for a, size in zip(start, sizes))]
+        starts = np.zeros((*places, operand.ndim), int)
+        starts[..., list(numbers_.start_index_map)] = known
+        for axis, batch in zip(numbers_.operand_batching_dims, numbers_.start_indices_batching_dims):
+            starts[..., axis] = np.arange(places[batch]).reshape([-1 if i == batch else 1 for i in range(len(places))])
+        if (starts < 0).any() or (starts + sizes > operand.shape).any():
+            raise Unsupported("gather of what is outside of an array")
+        steps = np.array([math.prod(operand.shape[i + 1 :]) for i in range(operand.ndim)], int)
+        within = np.tensordot(np.indices(sizes), steps, (0, 0)) if sizes else np.zeros((), int)
+        taken = operand.ravel()[(starts @ steps).reshape(*places, *[1] * len(sizes)) + within]
         gone = (*numbers_.collapsed_slice_dims, *numbers_.operand_batching_dims)
         left = (size for axis, size in enumerate(sizes) if axis not in gone)
         taken = taken.reshape(*places, *left)

@@ -373,3 +373,19 @@ def test_programs_whose_values_do_not_fit_on_the_stack_take_fewer_samples_at_a_t
         assert lanes <= allowed and bool(lanes) == bool(allowed)
         for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True):
             np.testing.assert_allclose(a, b, rtol=0 if names else 1e-12)
+
+
+def test_a_single_lane_has_no_vectors():
+    """LLVM's fast selection does not know vectors of one entry; loops, and reads and writes at computed places, too."""
+
+    def function(x, place):
+        x = jax.lax.while_loop(lambda x: jnp.sum(x) < 9.0, lambda x: 2.0 * jnp.abs(jnp.sin(x)) + x, x)
+        x = jax.lax.dynamic_update_slice(x, jax.lax.dynamic_slice(x, (place,), (1,)), (2 - place,))
+        return jnp.where(x > 1.0, x, jnp.linspace(0.0, 1.0, 3)[place])
+
+    place = jnp.int32(1)
+    program = programs.emit(jax.make_jaxpr(function)(X, place))
+    one, four = (program.module(lanes, False)[1] for lanes in (1, 4))
+    assert "<4 x double>" in four and "gather" in four and "scatter" in four and "reduce.or" in four
+    assert not any(mark in one for mark in ("<", "#", "splat", "gather", "scatter", "reduce"))
+    assert_same(fast(function)(X, place), function(X, place))
