@@ -20,6 +20,7 @@ from rfem_jax.compilation.program import Program
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.mechanics.dynamics import loads
+from rfem_jax.mechanics.dynamics.point_paths import point_motions
 from rfem_jax.mechanics.dynamics.section_loads import loads_of_sections, stress_squares
 from rfem_jax.mechanics.elements.linear_validity import linear_error, linear_range
 from rfem_jax.mechanics.forces.bush_contacts import ContactState, contact_states
@@ -52,7 +53,8 @@ class Turn(eqx.Module):
     holding: moment [N m] or force [N] that holds the driven coordinate; energy [J]: elastic and of gravity; stress
     [Pa]: largest von Mises stress of every link whose section's edge is known (rigid links too); status of each
     assembly; contacts (positions, ...): of the joints with clearance, by their names; linear_error: estimated error of
-    linear elements (`linear_validity`).
+    linear elements (`linear_validity`); places [m] (positions, 3) of the points whose paths are followed, by their
+    names.
     """
 
     position: Float[Array, "*positions"]
@@ -63,6 +65,7 @@ class Turn(eqx.Module):
     status: Int[Array, "*positions"]
     contacts: dict[str, ContactState] = eqx.field(default_factory=dict)
     linear_error: Float[Array, "*positions"] | None = None
+    places: dict[str, Float[Array, "*positions 3"]] = eqx.field(default_factory=dict)
 
 
 def turn_positions(
@@ -182,4 +185,5 @@ def held_at(model: Model, errors: AssemblyErrors, pose: ClosedPose, stresses: bo
         status=status,
         contacts=contact_states(actual, resting.motion),
         linear_error=linear_error(linear_range(actual, position)),
+        places={name: one.position for name, one in point_motions(actual, resting.motion, at_rest, at_rest).items()},
     )

@@ -18,6 +18,7 @@ from rfem_jax import (
     Simulation,
     design,
     discretise,
+    kinetostatic_turn,
     simulate,
 )
 from rfem_jax.description.metrics.path_metrics import path_instant
@@ -258,6 +259,13 @@ def test_a_path_of_a_deformed_link_has_its_deformation_in_it():
     assert np.abs(run.points["E"].position[:, 1]).max() > 1e-4
 
 
+def test_a_mechanism_held_still_has_its_points_where_kinematics_has_them():
+    model = discretise(four_bar(Point("P", "coupler", PLACE)))
+    turn = kinetostatic_turn(model, {"coupler.length": 4e-4}, np.array([-START, -1.2, -2.0]))
+    exact = jax.vmap(lambda a: exact_with_error((a - START) / RATE, 4e-4))(jnp.array([START, 1.2, 2.0]))
+    assert_allclose(turn.places["P"][:, [0, 2]], exact[:, :2], atol=1e-8)
+
+
 def test_shapes_of_paths_that_are_known():
     """A hinge's end goes round, a slide's along a line, and the slide dwells where the crank turns it."""
     links = [link("crank", 0.1), link("rod", 0.3), link("slide", 0.05)]
@@ -328,6 +336,7 @@ def test_points_that_cannot_be_are_refused():
         ("Q.x", "it has no point `Q`"),
         ("P.max_deviaton", "did you mean `P.max_deviation`"),
         ("P@0.3.x", "with its unit"),
+        ("P@0.1s.max_deviation", "of the whole path"),
     ],
 )
 def test_metrics_of_points_that_are_not_there_are_refused(problem, name, words):

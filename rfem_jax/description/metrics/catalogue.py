@@ -40,7 +40,8 @@ Refusal = Callable[[Any], str | None]
 class MetricKind:
     """An entry of the catalogue, with the arguments of `register_metric`; `of` is "run", "joint", "link" or "point";
     `refusal`: of a `JointSubject`, `LinkSubject` or `MetricSubjects` why it has no such metric and what to do, None if
-    it has; `equation`: its number in the theory."""
+    it has; `equation`: its number in the theory; `instant`: whether a metric of a point is of one instant, which its
+    owner may name."""
 
     name: str
     unit: str
@@ -57,6 +58,7 @@ class MetricKind:
     note: str = ""
     kinked: bool = False
     equation: str = ""
+    instant: bool = False
 
     def labelled(self, owners: Mapping[str, str]) -> str:
         """The label with {kind of owner: its name} put in."""

@@ -305,7 +305,7 @@ def _add_of_instants() -> None:
                 f"{before}{axis}", unit, f"{before.replace('_', ' ')}{axis} of {{point}}",
                 lambda run, owner, i=i, values=values: values(run, owner)[i],
                 f"{axis}: {meaning}, at the end or at the instant that is named", even=True if even else None,
-                perfect=perfect, nonnegative=False, equation=equation,
+                perfect=perfect, nonnegative=False, equation=equation, instant=True,
             )  # fmt: skip
 
 
@@ -326,7 +326,7 @@ def _add_deviations() -> None:
     of = "of the distance from where the perfect mechanism has the point at the same time"
     _add("deviation", "m", "deviation of {point}", lambda run, owner: _root(jnp.sum(_deviation_at(run, owner) ** 2)),
          "distance from the place of the perfect mechanism, at the end or at the instant that is named", perfect=True,
-         equation="(8.21)")  # fmt: skip
+         equation="(8.21)", instant=True)  # fmt: skip
     _add("mean_square_deviation", "m^2", "mean square deviation of {point}", _mean_square_deviation,
          f"mean square over time {of}", perfect=True, equation="(8.21)")  # fmt: skip
     _add("rms_deviation", "m", "RMS deviation of {point}",

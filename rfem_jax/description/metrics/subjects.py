@@ -115,6 +115,11 @@ def require_metric(name: str, subjects: MetricSubjects, whole: str, of: str = ""
     wanted, _, _ = owner.partition("@")
     if kind.of == "link":
         divided(owner)
+    if kind.of == "point" and "@" in owner and not kind.instant:
+        raise InputError(
+            f"Argument `metrics`{of} must name an instant of a metric that has one, but `{name}` is of the whole path; "
+            f"write `{wanted}.{kind.name}`, or for example `{owner}.deviation`."
+        )
     if kind.of == "point" and path_instant(owner).kind == "drive" and not subjects.driven:
         raise InputError(
             f"Argument `metrics`{of} must name an instant of a mechanism without a drive by a time, but `{name}` names "

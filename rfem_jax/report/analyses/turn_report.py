@@ -196,6 +196,8 @@ def write_turn(folder: Path, study: Study, model: Model, turn: Turn) -> list[Pat
                 for load, of in (("force", "N"), ("moment", "Nm")):
                     values = getattr(turn.loads[name], load)[c, i]
                     row |= {f"{name}_{load}_{axis}_{of}": float(v) for axis, v in zip("xyz", values, strict=True)}
+            for name, places in turn.places.items():
+                row |= {f"{name}_{axis}_m": float(v) for axis, v in zip("xyz", places[c, i], strict=True)}
             row |= {f"{name}_stress_Pa": float(values[c, i]) for name, values in turn.stress.items()}
             row |= {
                 f"{name}_carrying": "+".join(carrying(one.penetration[i])) or "none" for name, one in states.items()
