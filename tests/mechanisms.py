@@ -365,7 +365,7 @@ def random_state(model, rng, angle=0.5, rate=5.0):
     """A state far from equilibrium: large angles, fast, all rfes displaced."""
     import jax.numpy as jnp
 
-    from rfem_jax.mechanics.model.model import Coordinates, State
+    from rfem_jax import Coordinates, State
     from rfem_jax.mechanics.model.orientations import moved
 
     n, k = model.topology.n_freedoms, model.topology.n_rfes

@@ -14,7 +14,7 @@ import time
 
 import pytest
 
-from rfem_jax.description import load_study
+from rfem_jax import load_study
 from rfem_jax.report.page.document import write_folder
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.catalogue import report_on

@@ -9,12 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import MomentRamp, Problem, RungeKutta4, Simulation, discretise
+from rfem_jax import MomentRamp, Problem, RungeKutta4, Simulation, discretise, metric
 from rfem_jax.compilation import keys
 from rfem_jax.compilation.keys import NotDigestible, canonical, digest_content, digest_named
 from rfem_jax.description.methods import named_method
 from rfem_jax.tolerancing.problems.kept_evaluations import fingerprint_problem
-from rfem_jax.tolerancing.problems.metrics import end_angle, metric
+from rfem_jax.tolerancing.problems.metrics import end_angle
 from tests.mechanisms import four_bar
 
 SMALL = "generalised_alpha"

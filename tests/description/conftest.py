@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import pytest
 from jaxtyping import TypeCheckError
 
-from rfem_jax.description import InputError
+from rfem_jax import InputError
 
 # Where types are checked at run time, the checker may be faster than the sentence about a value of a wrong type.
 REFUSALS = (InputError, TypeCheckError) if os.environ.get("RFEM_JAX_CHECK_TYPES") == "1" else InputError

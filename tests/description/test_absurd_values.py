@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from rfem_jax.description import InputError, load_study, nearest
+from rfem_jax import InputError, load_study
+from rfem_jax.description import nearest
 
 TEXT = (Path(__file__).parents[2] / "studies" / "four_bar" / "study.toml").read_text(encoding="utf-8")
 MONTE_CARLO = """
@@ -113,7 +114,7 @@ def test_only_what_is_near_is_suggested(name, known, expected):
 def test_a_traced_number_is_no_large_one():
     import jax
 
-    from rfem_jax.description import Bearing
+    from rfem_jax import Bearing
 
     with pytest.raises(InputError, match="known before compilation"):
         jax.jit(lambda x: Bearing(dynamic_capacity=x).dynamic_capacity)(1e3)

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from rfem_jax.description import InputError, Joint, Link, Material, MomentTable, PointMass, Rectangle, load_study
+from rfem_jax import InputError, Joint, Link, Material, MomentTable, PointMass, Rectangle, load_study
 from rfem_jax.description.basics.errors import ABSENT, Checks, Problems
 from rfem_jax.description.basics.tables import build
 from rfem_jax.description.tasks import MonteCarloTask, Task

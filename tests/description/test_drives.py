@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax.description import (
+from rfem_jax import (
     MomentFunction,
     MomentRamp,
     MomentTable,

@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rfem_jax import JointFriction, JointSpring, PointForce, PointMoment, PointSpring, PointSpringTable
-from rfem_jax.description.basics.errors import InputError
+from rfem_jax import InputError, JointFriction, JointSpring, PointForce, PointMoment, PointSpring, PointSpringTable
 from rfem_jax.description.study_file.force_reader import FORCES, read_force, read_joint, read_spring
 from rfem_jax.description.study_file.study_reader import read_drive, read_mechanism
 

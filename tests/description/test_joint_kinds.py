@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from rfem_jax.description import Joint, Mechanism
+from rfem_jax import Joint, Mechanism
 from rfem_jax.description.basics.joint_kinds import KINDS, JointKind, joint_errors
 from rfem_jax.description.parameters.deviations import require_deviation
 

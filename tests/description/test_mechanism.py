@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from rfem_jax.description import Circle, GivenSection, Joint, Link, Material, Mechanism, PointMass
+from rfem_jax import Circle, GivenSection, Joint, Link, Material, Mechanism, PointMass
 from rfem_jax.description.tolerances.error_catalogue import error_dimension
 
 STEEL = Material("steel", 210e9, 7850.0, poisson_ratio=0.3)

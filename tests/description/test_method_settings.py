@@ -8,8 +8,8 @@ from dataclasses import replace
 import diffrax
 import pytest
 
-from rfem_jax import Automatic, Explicit, GeneralisedAlpha, Leapfrog, Method, RungeKutta4, description
-from rfem_jax.description import FixedStep, InputError
+from rfem_jax import Automatic, Explicit, GeneralisedAlpha, InputError, Leapfrog, Method, RungeKutta4, description
+from rfem_jax.description import FixedStep
 from rfem_jax.description.methods import METHOD_CLASSES, named_method
 
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from rfem_jax.description import load_study
-from rfem_jax.description.metrics.catalogue import JOINT_METRICS, RUN_METRICS, register_metric
+from rfem_jax import load_study, register_metric
+from rfem_jax.description.metrics.catalogue import JOINT_METRICS, RUN_METRICS
 
 FOUR_BAR = (Path(__file__).parents[2] / "studies" / "four_bar" / "study.toml").read_text(encoding="utf-8")
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from rfem_jax.description.basics.errors import InputError
+from rfem_jax import InputError
 from rfem_jax.description.basics.joint_kinds import KINDS
 from rfem_jax.description.metrics.catalogue import JOINT_METRICS, LINK_METRICS, POINT_METRICS, RUN_METRICS
 from rfem_jax.description.metrics.reference import metric_tables

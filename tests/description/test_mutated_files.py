@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rfem_jax.description import InputError, load_study
+from rfem_jax import InputError, load_study
 from rfem_jax.description.basics.errors import condensed, with_short_quotes
 from rfem_jax.description.study_file.plausibility import doubtful_numbers
 

@@ -2,7 +2,8 @@
 
 import pytest
 
-from rfem_jax.description.basics.errors import InputError, nearest
+from rfem_jax import InputError
+from rfem_jax.description.basics.errors import nearest
 from rfem_jax.description.metrics.catalogue import known_names
 from rfem_jax.description.tolerances.tolerances import read_tolerances
 

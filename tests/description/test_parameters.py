@@ -4,8 +4,7 @@ import dataclasses
 
 import pytest
 
-from rfem_jax import Circle, InputError, Link, Mechanism
-from rfem_jax.description import load_study
+from rfem_jax import Circle, InputError, Link, Mechanism, load_study
 from rfem_jax.description.parameters.deviations import deviation_unit, require_deviation
 from rfem_jax.description.parameters.parameters import parameters_of
 from rfem_jax.description.parameters.parts import number_at, parts_of, with_numbers

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from rfem_jax.description import load_study
+from rfem_jax import load_study
 from rfem_jax.description.study_file.plausibility import doubtful_numbers
 
 STUDIES = Path(__file__).parents[2] / "studies"

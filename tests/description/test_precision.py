@@ -3,8 +3,7 @@
 import jax
 import pytest
 
-from rfem_jax.description import InputError, Joint, Link, Mechanism, MomentRamp, Rectangle, load_study
-from rfem_jax.mechanics import discretise
+from rfem_jax import InputError, Joint, Link, Mechanism, MomentRamp, Rectangle, discretise, load_study
 from tests.mechanisms import STEEL as MATERIAL
 from tests.study_texts import ROUND, STEEL, hinge, link
 

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rfem_jax.description import Joint, Link, Mechanism, PointMass, Rectangle, RigidBody, load_study
-from rfem_jax.mechanics import assembly_errors, discretise
+from rfem_jax import Joint, Link, Mechanism, PointMass, Rectangle, RigidBody, assembly_errors, discretise, load_study
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.report.overview import link_rows
 

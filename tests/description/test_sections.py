@@ -6,7 +6,7 @@ from dataclasses import astuple, replace
 import numpy as np
 import pytest
 
-from rfem_jax.description import Circle, GivenSection, Material, Rectangle, Tube
+from rfem_jax import Circle, GivenSection, Material, Rectangle, Tube
 
 STEEL = Material("steel", "210 GPa", 7850.0, poisson_ratio=0.3, damping=1e-5)
 GIVEN = {

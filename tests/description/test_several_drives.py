@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from rfem_jax.description import (
+from rfem_jax import (
     ForceFunction,
     ForceRamp,
     ForceTable,

@@ -9,7 +9,7 @@ from pathlib import Path
 import jax
 import pytest
 
-from rfem_jax.description import (
+from rfem_jax import (
     Case,
     Circle,
     GivenSection,
@@ -23,8 +23,8 @@ from rfem_jax.description import (
     Study,
     Tube,
     load_study,
-    nearest,
 )
+from rfem_jax.description import nearest
 
 STUDIES = Path(__file__).parents[2] / "studies" / "four_bar"
 TEXT = (STUDIES / "study.toml").read_text(encoding="utf-8")

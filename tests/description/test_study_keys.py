@@ -5,7 +5,7 @@ import tomllib
 
 import pytest
 
-from rfem_jax.description import load_study
+from rfem_jax import load_study
 from rfem_jax.description.basics import tables
 from rfem_jax.description.study_file import force_reader, study, study_reader
 from rfem_jax.description.study_file.key_reference import NEEDED, argument_meanings, key_tables

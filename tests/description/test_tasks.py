@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rfem_jax.description import load_study
-from rfem_jax.description.tasks import MonteCarloTask, SensitivityTask, Tasks, WorstCaseTask
-from rfem_jax.description.tasks.allocation import AllocationTask, ErrorCost
+from rfem_jax import load_study
+from rfem_jax.description.tasks import AllocationTask, ErrorCost, MonteCarloTask, SensitivityTask, Tasks, WorstCaseTask
 from rfem_jax.description.tolerances.tolerances import CorrelatedTolerances, SpecifiedTolerance
 
 STUDIES = Path(__file__).parents[2] / "studies"

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from rfem_jax.description import InputError, load_study
+from rfem_jax import InputError, load_study
 
 from .mutated_studies import toml_of
 

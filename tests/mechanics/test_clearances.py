@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from rfem_jax.description.mechanism.clearance import Clearance
+from rfem_jax import Clearance
 from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.algebra.vectors import product, rotation_x, rotation_y, rotation_z
 from rfem_jax.mechanics.laws.clearances import ContactMemory, pin_in_bush

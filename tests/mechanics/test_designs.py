@@ -8,10 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import InputError, Rectangle, assemble, assembly_errors, design, discretise, parameters
+from rfem_jax import STATUS, InputError, Rectangle, assemble, assembly_errors, design, designed, discretise, parameters
 from rfem_jax.mechanics.model.nominal_geometry import gaps, geometry_of, place
-from rfem_jax.mechanics.model.status import STATUS
-from rfem_jax.mechanics.statics.designs import designed
 from tests.mechanisms import STEEL, chain_with_forces, compliant_four_bar, four_bar
 
 OUT = (("position", "y"), ("orientation", "xz"))

@@ -33,13 +33,14 @@ from rfem_jax import (
     RigidBody,
     Tube,
     design,
+    designed,
     discretise,
     parameters,
 )
 from rfem_jax.description.parameters.parameters import parameters_of
 from rfem_jax.description.parameters.parts import number_at, parts_of, scaled, with_numbers
 from rfem_jax.mechanics.model.building import PartStructure, arrays_of
-from rfem_jax.mechanics.statics.designs import _plan_of, designed
+from rfem_jax.mechanics.statics.designs import _plan_of
 from tests.mechanisms import STEEL, TABLE
 
 BRASS = Material("brass", youngs_modulus=1e11, density=8400.0, shear_modulus=3.7e10, damping=2e-5)

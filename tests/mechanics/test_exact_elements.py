@@ -5,11 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import InputError, Mechanism, assembly_errors, discretise
+from rfem_jax import Coordinates, InputError, Mechanism, State, assembly_errors, discretise
 from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.kinematics.motion import relative_motion
-from rfem_jax.mechanics.model.model import Coordinates, State
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.reference.formulation import exact_deflections, transforms
 from tests.mechanisms import four_bar, open_chain, random_state, some_errors

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 
-from rfem_jax import discretise
+from rfem_jax import State, discretise
 from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.dynamics.dynamics import accelerations
 from rfem_jax.mechanics.laws.frame_forces import Time
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation, impose
-from rfem_jax.mechanics.model.model import State
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.reference.formulation import constraints, reference_accelerations
 from tests.mechanisms import (

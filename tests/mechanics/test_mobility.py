@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rfem_jax import Joint, JointSpring, Mechanism, describe, discretise
-from rfem_jax.description.basics.errors import InputError
+from rfem_jax import InputError, Joint, JointSpring, Mechanism, describe, discretise
 from rfem_jax.report.overview import count_lines
 from tests.mechanisms import link, loop_cut_by
 

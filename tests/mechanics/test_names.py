@@ -16,6 +16,7 @@ from rfem_jax import (
     JointFriction,
     JointSpring,
     Mechanism,
+    Metric,
     MomentRamp,
     PointForce,
     Problem,
@@ -32,7 +33,6 @@ from rfem_jax import (
 from rfem_jax.compilation import keeping
 from rfem_jax.compilation.naming import Names, names_in
 from rfem_jax.compilation.program import Program
-from rfem_jax.tolerancing.problems.problem import Metric
 from rfem_jax.tolerancing.problems.sample_values import evaluate_lanes, local_mesh
 from tests.mechanics.test_designs_of_everything import chain_of_everything, loop_of_everything
 from tests.mechanisms import chain_with_balls, compliant_chain, four_bar, link, loop_with_point_forces, two_loop_six_bar

@@ -7,7 +7,18 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 
-from rfem_jax import Joint, Link, Material, Mechanism, PointMass, Rectangle, assembly_errors, discretise
+from rfem_jax import (
+    Coordinates,
+    Joint,
+    Link,
+    Material,
+    Mechanism,
+    PointMass,
+    Rectangle,
+    State,
+    assembly_errors,
+    discretise,
+)
 from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.dynamics.dynamics import accelerations
 from rfem_jax.mechanics.elements import elasticity, exact_elements
@@ -16,7 +27,6 @@ from rfem_jax.mechanics.implicit.newton import increment_and_wrenches, iteration
 from rfem_jax.mechanics.implicit.residual import Residual, evaluate_residual, residual_of
 from rfem_jax.mechanics.kinematics.motion import relative_motion
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation, impose
-from rfem_jax.mechanics.model.model import Coordinates, State
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics.assembly import equilibrium, length_scale
 from tests.mechanisms import chain_of_kinds, four_bar, twisted_spatial_loop, two_loop_six_bar

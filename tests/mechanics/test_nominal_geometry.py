@@ -8,11 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import InputError, assembly_errors, describe, discretise
+from rfem_jax import Coordinates, InputError, assembly_errors, describe, discretise
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.kinematics.cut_joints import closure
 from rfem_jax.mechanics.kinematics.motion import motion_of
-from rfem_jax.mechanics.model.model import Coordinates
 from rfem_jax.mechanics.model.nominal_geometry import closure_jacobian, gaps, geometry_of, place
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics.assembly import length_scale

@@ -16,7 +16,9 @@ from scipy.spatial.transform import Rotation
 
 from rfem_jax import (
     STATUS,
+    Coordinates,
     GeneralisedAlpha,
+    InputError,
     Joint,
     Link,
     Mechanism,
@@ -25,6 +27,7 @@ from rfem_jax import (
     RigidBody,
     RungeKutta4,
     Simulation,
+    State,
     assemble,
     assembly_errors,
     describe,
@@ -34,12 +37,11 @@ from rfem_jax import (
     natural_frequencies,
     simulate,
 )
-from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.methods import named_method
 from rfem_jax.mechanics.dynamics import loads as joint_loads
 from rfem_jax.mechanics.dynamics.dynamics import accelerations
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation
-from rfem_jax.mechanics.model.model import Coordinates, State, length_scale
+from rfem_jax.mechanics.model.model import length_scale
 from rfem_jax.mechanics.model.nominal_geometry import closure_jacobian, geometry_of, place
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.reference.loads import reference_reactions

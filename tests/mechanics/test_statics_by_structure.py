@@ -6,8 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import Coordinates, Joint, Mechanism, discretise
-from rfem_jax.mechanics.model.errors import assembly_errors
+from rfem_jax import Coordinates, Joint, Mechanism, assembly_errors, discretise
 from rfem_jax.mechanics.model.status import NOT_ASSEMBLED, OK
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics import assembly, search

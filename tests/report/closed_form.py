@@ -8,7 +8,7 @@ import math
 
 import jax.numpy as jnp
 
-from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric
+from rfem_jax import FunctionProblem, Metric
 
 NAMES = ("D.delta_x", "D.delta_z", "D.d_y")
 WIDTHS = (math.radians(0.25), math.radians(0.25), 2.5e-4)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import rfem_jax.simulation
-from rfem_jax.description import load_study
+from rfem_jax import load_study
 from rfem_jax.mechanics.model.discretisation import StartHeld
 from rfem_jax.report import command_line
 from rfem_jax.report.tasks import study_problem

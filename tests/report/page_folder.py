@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 
-from rfem_jax.mechanics.model.discretisation import discretise
+from rfem_jax import discretise
 from rfem_jax.mechanics.model.nominal_geometry import geometry_of
 from rfem_jax.mechanics.model.nominal_path import nearest_closed, nominal_shapes
 from rfem_jax.report.files import write_files

@@ -18,11 +18,10 @@ import pytest
 
 import rfem_jax
 import rfem_jax.mechanics.statics.designs  # the module itself serves beside the stand-in for its package
-from rfem_jax import task_kinds
+from rfem_jax import InputError, task_kinds
 from rfem_jax.compilation import cache, keeping
 from rfem_jax.compilation.cache import user_cache_folder
 from rfem_jax.compilation.stages import listening, on_stage
-from rfem_jax.description import InputError
 from rfem_jax.report import command_line, console
 from rfem_jax.report.command_line import build_parser, main
 from rfem_jax.report.commands.catalogue import all_commands

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rfem_jax.description import load_study
+from rfem_jax import load_study
 from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
 from rfem_jax.report.files import history_columns, write_results
 from rfem_jax.report.overview import _drives_text, joint_rows

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rfem_jax.mechanics import STATUS
+from rfem_jax import STATUS
 from rfem_jax.report.figures import write_figures
 from rfem_jax.report.files import write_files
 from rfem_jax.report.page.animation import quaternions_of, write_arrays

@@ -16,8 +16,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.path import Path
 
-from rfem_jax.description import Compliance, Joint, load_study
-from rfem_jax.mechanics import STATUS
+from rfem_jax import STATUS, Compliance, Joint, load_study
 from rfem_jax.report import shapes
 from rfem_jax.report.figures import component_figure, draw_figures, shown_joints, write_figures
 from rfem_jax.report.pictures import write_pictures

@@ -10,15 +10,14 @@ import pytest
 
 import rfem_jax.mechanics
 import rfem_jax.simulation
+from rfem_jax import RungeKutta4, Tolerances, first_samples
 from rfem_jax.compilation import program
-from rfem_jax.description import RungeKutta4
 from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
 from rfem_jax.report.commands import run
 from rfem_jax.report.commands.command import Interrupted
 from rfem_jax.report.commands.steps import read_study, settle_method, settle_task
 from rfem_jax.report.tasks import study_problem
-from rfem_jax.tolerancing import Tolerances, first_samples
 
 from .test_task_output import call, contents, task_file  # noqa: F401
 

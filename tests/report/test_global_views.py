@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rfem_jax.description import load_study
+from rfem_jax import Tolerances, load_study
 from rfem_jax.report.command_line import main
 from rfem_jax.report.tasks.catalogue import report_on
 from rfem_jax.report.tasks.task_overview import tasks_text
 from rfem_jax.text_layout import WIDTH
-from rfem_jax.tolerancing import Tolerances
 
 from . import closed_form
 from .conftest import STUDY, rows_of

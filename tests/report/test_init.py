@@ -6,9 +6,8 @@ import tomllib
 
 import pytest
 
-from rfem_jax.description import load_study
+from rfem_jax import describe, discretise, load_study
 from rfem_jax.description.study_file.schema import FILE, LINE, study_schema
-from rfem_jax.mechanics import describe, discretise
 from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
 from rfem_jax.report.commands.init import KINDS

@@ -5,8 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from rfem_jax import describe, discretise, run_cases
-from rfem_jax.description import load_study
+from rfem_jax import describe, discretise, load_study, run_cases
 from rfem_jax.report.figures import _component_titles
 from rfem_jax.report.files import history_columns, write_files
 from rfem_jax.report.overview import study_text

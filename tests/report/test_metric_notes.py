@@ -5,11 +5,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from rfem_jax.description import load_study
+from rfem_jax import load_study, metric
 from rfem_jax.report.tables import notes_text
 from rfem_jax.report.tasks.sensitivity import kink_notes
 from rfem_jax.report.tasks.task_files import write_task_json
-from rfem_jax.tolerancing.problems.metrics import metric
 
 from .conftest import STUDY
 

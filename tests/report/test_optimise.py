@@ -6,12 +6,11 @@ import math
 import numpy as np
 import pytest
 
-from rfem_jax.description import load_study
+from rfem_jax import FunctionProblem, Metric, load_study
 from rfem_jax.report.command_line import main
 from rfem_jax.report.tasks.catalogue import report_on
 from rfem_jax.report.tasks.task_overview import tasks_text
 from rfem_jax.text_layout import WIDTH
-from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric
 
 from .conftest import STUDY, rows_of
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rfem_jax.description import InputError, load_study
+from rfem_jax import InputError, load_study
 from rfem_jax.report.command_line import main
 from rfem_jax.report.commands.steps import write_page
 from rfem_jax.report.page.animation import FILE, pack_animation, quaternions_of, read_animation, rotation_vectors

@@ -11,6 +11,7 @@ import pytest
 
 from rfem_jax import (
     Explicit,
+    InputError,
     Method,
     Simulation,
     assembly_errors,
@@ -20,7 +21,7 @@ from rfem_jax import (
     register_method,
     simulate,
 )
-from rfem_jax.description import FixedStep, InputError, methods
+from rfem_jax.description import FixedStep, methods
 from rfem_jax.description.methods import named_method
 from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main

@@ -5,20 +5,22 @@ from dataclasses import replace
 import jax
 import pytest
 
-from rfem_jax.description import (
+from rfem_jax import (
     Clearance,
     Explicit,
     GeneralisedAlpha,
     JointFriction,
     MomentRamp,
     RungeKutta4,
+    Simulation,
     Study,
+    assembly_errors,
+    discretise,
     load_study,
+    simulate,
 )
-from rfem_jax.description.tasks.study_tasks import Tasks
-from rfem_jax.mechanics import assembly_errors, discretise
+from rfem_jax.description.tasks import Tasks
 from rfem_jax.report.study_cost import STEP_SECONDS, cost_text, numbers_saved, saved_times, times_text
-from rfem_jax.simulation import Simulation, simulate
 from rfem_jax.text_layout import size_text, time_text
 from rfem_jax.validation.clearances import flexible_four_bar
 

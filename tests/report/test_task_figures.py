@@ -14,14 +14,12 @@ import matplotlib
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.image import imread
 
-from rfem_jax.description import load_study
+from rfem_jax import Tolerances, Uniform, load_study, monte_carlo, sensitivity
 from rfem_jax.report.pictures import write_pictures
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.catalogue import report_on
 from rfem_jax.report.tasks.monte_carlo import _most_felt
 from rfem_jax.report.tasks.sensitivity import Derivatives
-from rfem_jax.tolerancing import Tolerances, Uniform, monte_carlo
-from rfem_jax.tolerancing.sensitivities import sensitivity
 
 from . import closed_form
 from .conftest import STUDY

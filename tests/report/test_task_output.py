@@ -5,13 +5,13 @@ import math
 import pytest
 
 import rfem_jax.simulation
+from rfem_jax import FunctionProblem, Metric
 from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.catalogue import report_on
 from rfem_jax.text_layout import WIDTH, align_columns, wrap_lines
 from rfem_jax.tolerancing.layout import show_number
-from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric
 
 from . import closed_form
 from .conftest import STUDY

@@ -13,14 +13,13 @@ import numpy as np
 import pytest
 
 import rfem_jax.simulation
+from rfem_jax import Explicit, GeneralisedAlpha, RungeKutta4, Tolerances, load_study, monte_carlo
+from rfem_jax import worst_case as search
 from rfem_jax.compilation.stages import listening
-from rfem_jax.description import Explicit, GeneralisedAlpha, RungeKutta4, load_study
 from rfem_jax.report import command_line, pictures
 from rfem_jax.report.command_line import main
 from rfem_jax.report.tasks import catalogue, study_problem, task_report
 from rfem_jax.report.tasks.task_overview import tasks_text
-from rfem_jax.tolerancing import Tolerances, monte_carlo
-from rfem_jax.tolerancing import worst_case as search
 from rfem_jax.tolerancing.problems import sharing
 from rfem_jax.tolerancing.problems.results_store import ResultsStore
 from rfem_jax.tolerancing.problems.simulated_problem import finer_method

@@ -4,9 +4,9 @@ import dataclasses
 
 import pytest
 
+from rfem_jax import load_study
 from rfem_jax.compilation import keeping
-from rfem_jax.description import load_study
-from rfem_jax.description.tasks.study_tasks import Tasks
+from rfem_jax.description.tasks import Tasks
 from rfem_jax.report import timings
 from rfem_jax.report.commands import steps
 

@@ -5,8 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from rfem_jax.description import load_study
-from rfem_jax.description.basics.errors import InputError
+from rfem_jax import InputError, load_study
 from rfem_jax.report.command_line import main
 
 from . import closed_form

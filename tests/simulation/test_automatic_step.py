@@ -5,14 +5,24 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import Automatic, GeneralisedAlpha, MomentRamp, Simulation, assembly_errors, discretise
-from rfem_jax.simulation.accuracy import _longer, choose_method, estimate_change
-from rfem_jax.tolerancing.problems.distributions import Uniform
+from rfem_jax import (
+    Automatic,
+    FunctionProblem,
+    GeneralisedAlpha,
+    Metric,
+    MomentRamp,
+    Problem,
+    Simulation,
+    Tolerances,
+    Uniform,
+    assembly_errors,
+    choose_method,
+    discretise,
+    first_samples,
+    monte_carlo,
+)
+from rfem_jax.simulation.accuracy import _longer, estimate_change
 from rfem_jax.tolerancing.problems.evaluation import evaluate_points
-from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
-from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric
-from rfem_jax.tolerancing.problems.simulated_problem import Problem
-from rfem_jax.tolerancing.sampling.monte_carlo_study import first_samples, monte_carlo
 from tests.mechanisms import four_bar
 
 DRIVE, DURATION, ACCURACY = MomentRamp("A", 0.5, 0.02), 0.04, 1e-3

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from rfem_jax import (
+    STATUS,
     Automatic,
     GeneralisedAlpha,
+    InputError,
     Joint,
     JointForceTable,
     Mechanism,
@@ -24,8 +26,6 @@ from rfem_jax import (
     discretise,
     simulate,
 )
-from rfem_jax.description.basics.errors import InputError
-from rfem_jax.mechanics.model.status import STATUS
 from rfem_jax.simulation.remarks import BALANCE_LIMIT, REMARKABLE_BALANCE
 from tests.mechanisms import four_bar, link
 

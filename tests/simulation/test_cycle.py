@@ -18,8 +18,8 @@ from rfem_jax import (
     design,
     discretise,
     simulate,
+    steady_cycle,
 )
-from rfem_jax.simulation.cycle import steady_cycle
 
 # Soft and lightly damped: the first mode loses a fifth of its amplitude in a revolution.
 SOFT = Material("soft", youngs_modulus=2e8, density=1200.0, poisson_ratio=0.3, damping=1e-3)

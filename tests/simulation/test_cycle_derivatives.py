@@ -15,9 +15,10 @@ from rfem_jax import (
     RungeKutta4,
     Simulation,
     assembly_errors,
+    cycle_run,
     discretise,
+    steady_cycle,
 )
-from rfem_jax.simulation.cycle import cycle_run, steady_cycle
 from tests.evaluation import evaluated
 
 MASS, STIFFNESS, DAMPING, RATE, GRAVITY = 0.5, 200.0, 4.0, 9.0, 9.81

@@ -12,13 +12,13 @@ from rfem_jax import (
     PrescribedRate,
     RungeKutta4,
     Simulation,
+    Study,
     check_step,
     choose_method,
     discretise,
     run_cases,
     simulate,
 )
-from rfem_jax.description.study_file.study import Study
 from rfem_jax.simulation.driving import require_driven
 from tests.mechanisms import four_bar
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rfem_jax import (
+    STATUS,
     GeneralisedAlpha,
     InputError,
     Joint,
@@ -24,7 +25,7 @@ from rfem_jax import (
     monte_carlo,
     simulate,
 )
-from rfem_jax.mechanics.model.status import DESIGN_OUT_OF_RANGE, OK, STATUS
+from rfem_jax.mechanics.model.status import DESIGN_OUT_OF_RANGE, OK
 
 METHOD = GeneralisedAlpha(step=1e-3)
 STEEL = Material("steel", 2.1e11, 7850.0, poisson_ratio=0.3)

@@ -15,10 +15,11 @@ from rfem_jax import (
     RungeKutta4,
     Simulation,
     Study,
+    run_cases,
     simulate,
 )
-from rfem_jax.simulation import run_cases
-from rfem_jax.simulation.run import Loads, one_of
+from rfem_jax.simulation import one_of
+from rfem_jax.simulation.run import Loads
 from rfem_jax.validation.clearances import SOFT, WEIGHT, hung
 
 from ..mechanisms import link

@@ -19,12 +19,12 @@ from rfem_jax import (
     Study,
     assembly_errors,
     discretise,
+    run_cases,
     simulate,
 )
 from rfem_jax.description.methods import named_method
 from rfem_jax.mechanics.model.status import PAST_LIMIT
-from rfem_jax.simulation.cases import run_cases
-from rfem_jax.simulation.locking import drive_limit
+from rfem_jax.simulation import drive_limit
 from tests.mechanisms import four_bar, link
 
 CRANK, COUPLER, ROCKER, BASE = 0.3, 0.25, 0.2, 0.3

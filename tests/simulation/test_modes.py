@@ -7,8 +7,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import InputError, Joint, Link, Mechanism, PrescribedRate, assembly_errors, design, discretise
-from rfem_jax.simulation.modes import REPEATED, natural_frequencies
+from rfem_jax import (
+    InputError,
+    Joint,
+    Link,
+    Mechanism,
+    PrescribedRate,
+    assembly_errors,
+    design,
+    discretise,
+    natural_frequencies,
+)
+from rfem_jax.simulation.modes import REPEATED
 from rfem_jax.simulation.stability import eigenvalues
 from rfem_jax.simulation.vibration import Vibration
 from tests.evaluation import evaluated

@@ -9,8 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import Explicit, Simulation, assembly_errors, equations_of_motion, simulate
-from rfem_jax.mechanics.model.model import State
+from rfem_jax import Explicit, Simulation, State, assembly_errors, equations_of_motion, simulate
 from rfem_jax.simulation.equations import at_instant
 
 TILTED = {"D.delta_x": 2e-3, "D.d_y": 1e-4}

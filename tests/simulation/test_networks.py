@@ -20,10 +20,10 @@ from rfem_jax import (
     RungeKutta4,
     Simulation,
     design,
+    designed,
     discretise,
     simulate,
 )
-from rfem_jax.mechanics.statics.designs import designed
 from tests.evaluation import evaluated
 from tests.mechanisms import link
 

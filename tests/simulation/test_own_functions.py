@@ -12,6 +12,7 @@ from rfem_jax import (
     Joint,
     JointForceFunction,
     Mechanism,
+    Metric,
     MomentFunction,
     PointForce,
     Problem,
@@ -21,7 +22,6 @@ from rfem_jax import (
     simulate,
 )
 from rfem_jax.compilation import keeping
-from rfem_jax.tolerancing.problems.problem import Metric
 from tests.mechanisms import link
 
 

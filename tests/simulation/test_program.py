@@ -10,18 +10,19 @@ import pytest
 
 from rfem_jax import (
     STATUS,
+    Case,
     GeneralisedAlpha,
     InputError,
     MomentRamp,
     RungeKutta4,
     Simulation,
+    Study,
     assemble,
     assembly_errors,
     discretise,
     run_cases,
     simulate,
 )
-from rfem_jax.description.study_file.study import Case, Study
 from rfem_jax.mechanics.kinematics import motion as kinematics
 from rfem_jax.mechanics.model.status import DIVERGED, NOT_ASSEMBLED
 from rfem_jax.simulation import integration, simulating

@@ -6,8 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from rfem_jax import assembly_errors, report_run
-from rfem_jax.description.basics.errors import InputError
+from rfem_jax import InputError, assembly_errors, report_run
 from rfem_jax.mechanics.dynamics.centre_lines import trace_shapes
 from tests.report.page_folder import content_of
 

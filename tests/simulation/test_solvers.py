@@ -18,7 +18,7 @@ from rfem_jax import (
     simulate,
 )
 from rfem_jax.description.methods import named_method
-from rfem_jax.simulation import integration
+from rfem_jax.simulation import LeapfrogSolver, integration
 from rfem_jax.simulation.driving import active_drives
 from rfem_jax.simulation.equations import (
     Conditions,
@@ -26,7 +26,6 @@ from rfem_jax.simulation.equations import (
     start_trajectory,
 )
 from rfem_jax.simulation.solvers.catalogue import observed_solver
-from rfem_jax.simulation.solvers.explicit import LeapfrogSolver
 from rfem_jax.simulation.stabilisation import stabilisation_of
 from rfem_jax.simulation.stepping import TERMS, Integration
 from rfem_jax.simulation.time_grid import divide_time
@@ -162,7 +161,7 @@ def test_leapfrog_needs_a_velocity_of_second_order():
     """On x'' = -k x - c x' the method is of order 2; its order would drop to 1 if the damping read
     a lagging velocity."""
 
-    from rfem_jax.mechanics.model.model import Coordinates
+    from rfem_jax import Coordinates
 
     class Y(eqx.Module):
         position: Coordinates

@@ -20,6 +20,7 @@ from rfem_jax import (
     Simulation,
     assemble,
     assembly_errors,
+    choose_method,
     cycle_run,
     design,
     discretise,
@@ -28,7 +29,6 @@ from rfem_jax import (
     simulate,
     steady_cycle,
 )
-from rfem_jax.simulation.accuracy import choose_method
 from tests.description.conftest import _refused as refused
 from tests.mechanisms import four_bar, three_link_loop
 from tests.programs.conftest import PENDULUM

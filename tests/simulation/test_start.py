@@ -26,17 +26,17 @@ from rfem_jax import (
     Simulation,
     assemble,
     assembly_errors,
+    describe,
     design,
     discretise,
     load_study,
     parameters,
+    run_cases,
     simulate,
 )
-from rfem_jax.mechanics.model.discretisation import describe
 from rfem_jax.report.files import start_of, write_files
 from rfem_jax.report.summary import summarise
 from rfem_jax.simulation import integration
-from rfem_jax.simulation.cases import run_cases
 from rfem_jax.simulation.unfinished import Unfinished
 from tests.mechanisms import (
     chain_of_kinds,

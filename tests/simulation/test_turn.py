@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import InputError, Joint, Mechanism, assemble, assembly_errors, discretise
+from rfem_jax import InputError, Joint, Mechanism, assemble, assembly_errors, discretise, kinetostatic_turn
 from rfem_jax.mechanics.forces.bush_contacts import carrying
-from rfem_jax.simulation.turn import closed_poses, kinetostatic_turn, turn_over, turn_positions
+from rfem_jax.simulation.turn import closed_poses, turn_over, turn_positions
 from rfem_jax.validation.clearances import TILT, flexible_four_bar
 from tests.evaluation import evaluated
 from tests.mechanisms import BAR, STEEL, four_bar, link

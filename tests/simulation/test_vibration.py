@@ -11,6 +11,7 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from rfem_jax import (
+    Coordinates,
     InputError,
     Joint,
     Mechanism,
@@ -19,6 +20,7 @@ from rfem_jax import (
     PrescribedRate,
     RungeKutta4,
     Simulation,
+    State,
     assembly_errors,
     check_step,
     discretise,
@@ -28,7 +30,6 @@ from rfem_jax import (
 from rfem_jax.description.methods import named_method
 from rfem_jax.mechanics.dynamics.dynamics import accelerations
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation
-from rfem_jax.mechanics.model.model import Coordinates, State
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.simulation import stability, vibration, vibration_matrices
 from rfem_jax.simulation.stepping import stabilisation_of

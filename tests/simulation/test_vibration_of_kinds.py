@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 
-from rfem_jax import RungeKutta4, Simulation, assembly_errors, check_step, discretise, simulate
-from rfem_jax.description.basics.errors import InputError
+from rfem_jax import InputError, RungeKutta4, Simulation, State, assembly_errors, check_step, discretise, simulate
 from rfem_jax.mechanics.dynamics.dynamics import accelerations
 from rfem_jax.mechanics.dynamics.loads import static_state
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation
-from rfem_jax.mechanics.model.model import State
 from rfem_jax.mechanics.model.orientations import moved
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.simulation.vibration import Vibration

@@ -23,11 +23,11 @@ from rfem_jax import (
     Problem,
     RungeKutta4,
     Simulation,
+    choose_method,
     design,
     discretise,
     simulate,
 )
-from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.simulation.solvers import contact_steps
 from rfem_jax.tolerancing.problems.linearisation import choose_mode
 from rfem_jax.validation.impacts import FAST, MASS, REFERENCE, SPEED, guided, rebound_of, slider_crank, thrown

@@ -30,11 +30,12 @@ from rfem_jax import (
     assemble,
     assembly_errors,
     discretise,
+    largest_stable_step,
     simulate,
 )
 from rfem_jax.description.mechanism.compliance import SprungDirection
 from rfem_jax.mechanics.laws.joint_springs import compliant_spring
-from rfem_jax.simulation.stability import eigenvalues, largest_stable_step
+from rfem_jax.simulation.stability import eigenvalues
 from rfem_jax.validation.reference_values import read_reference
 from tests.mechanisms import BAR, NO_MASS, STEEL, link
 

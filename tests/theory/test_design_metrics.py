@@ -26,11 +26,11 @@ from rfem_jax import (
     Tube,
     design,
     discretise,
+    metric,
     simulate,
 )
 from rfem_jax.description.mechanism.bearings import LIFE_EXPONENTS
 from rfem_jax.description.metrics.design_metrics import MILLION_REVOLUTIONS
-from rfem_jax.tolerancing.problems.metrics import metric
 from tests.derivatives import jacobians
 from tests.evaluation import evaluated
 from tests.mechanisms import STEEL

@@ -9,6 +9,7 @@ import pytest
 
 from rfem_jax import (
     Compliance,
+    Coordinates,
     GeneralisedAlpha,
     InputError,
     Joint,
@@ -24,11 +25,11 @@ from rfem_jax import (
     check_step,
     derivative_residual,
     discretise,
+    largest_stable_step,
     simulate,
 )
 from rfem_jax.mechanics.dynamics import loads
-from rfem_jax.mechanics.model.model import Coordinates
-from rfem_jax.simulation.stability import eigenvalues, largest_stable_step
+from rfem_jax.simulation.stability import eigenvalues
 from tests.derivatives import check_derivatives
 from tests.mechanisms import body, four_bar
 

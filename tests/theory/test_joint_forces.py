@@ -20,12 +20,13 @@ from rfem_jax import (
     assemble,
     assembly_errors,
     discretise,
+    largest_stable_step,
     simulate,
 )
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.simulation import vibration
-from rfem_jax.simulation.stability import eigenvalues, largest_stable_step
+from rfem_jax.simulation.stability import eigenvalues
 from tests.derivatives import check_derivatives
 from tests.mechanisms import body, four_bar, link, released
 

@@ -22,6 +22,7 @@ from rfem_jax import (
     Rectangle,
     RungeKutta4,
     Simulation,
+    State,
     assemble,
     assembly_errors,
     describe,
@@ -29,7 +30,6 @@ from rfem_jax import (
     simulate,
 )
 from rfem_jax.mechanics.dynamics.loads import static_state
-from rfem_jax.mechanics.model.model import State
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics.assembly import equilibrium
 from rfem_jax.validation import slider_cranks, spatial_linkages

@@ -6,18 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rfem_jax.description.basics.errors import InputError
+from rfem_jax import Exponential, FunctionProblem, InputError, Reciprocal, ReciprocalSquared, Uniform, allocate
 from rfem_jax.tolerancing.optimisation.augmented_lagrangian import minimise
-from rfem_jax.tolerancing.problems.distributions import Uniform
-from rfem_jax.tolerancing.problems.problem import FunctionProblem
-from rfem_jax.tolerancing.robust_design.allocation import allocate
-from rfem_jax.tolerancing.robust_design.cost_models import (
-    Exponential,
-    Reciprocal,
-    ReciprocalSquared,
-    assign_costs,
-    total_cost,
-)
+from rfem_jax.tolerancing.robust_design.cost_models import assign_costs, total_cost
 from rfem_jax.tolerancing.robust_design.models import Moments, Quadratic, quantile_weights
 from rfem_jax.tolerancing.robust_design.optimisation import _price
 

@@ -6,13 +6,19 @@ import numpy as np
 import pytest
 from scipy import optimize, special, stats
 
-from rfem_jax.description.basics.errors import InputError
-from rfem_jax.tolerancing.problems.distributions import Uniform
-from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric
-from rfem_jax.tolerancing.problems.quadratic_model import expand
-from rfem_jax.tolerancing.robust_design.allocation import ATTEMPTS, _passes, allocate
+from rfem_jax import (
+    Exponential,
+    FunctionProblem,
+    InputError,
+    Metric,
+    Reciprocal,
+    ReciprocalSquared,
+    Uniform,
+    allocate,
+    expand,
+)
+from rfem_jax.tolerancing.robust_design.allocation import ATTEMPTS, _passes
 from rfem_jax.tolerancing.robust_design.corrected_statistics import CorrectedStatistics
-from rfem_jax.tolerancing.robust_design.cost_models import Exponential, Reciprocal, ReciprocalSquared
 from rfem_jax.tolerancing.robust_design.observations import Observer
 from rfem_jax.tolerancing.robust_design.request import check_allocation
 from rfem_jax.tolerancing.robust_design.verification import ErrorSample, Verified

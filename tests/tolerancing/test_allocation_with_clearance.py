@@ -5,10 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import assemble, assembly_errors
-from rfem_jax.tolerancing.problems.problem import FunctionProblem
-from rfem_jax.tolerancing.robust_design.allocation import allocate
-from rfem_jax.tolerancing.robust_design.cost_models import Reciprocal
+from rfem_jax import FunctionProblem, Reciprocal, allocate, assemble, assembly_errors
 from rfem_jax.validation.clearances import HARD, HERTZ, PLAY, shaft
 
 TILT, RADIAL = "D.delta_x", "D.clearance.radial"

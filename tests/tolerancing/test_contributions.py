@@ -6,13 +6,20 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from rfem_jax import (
+    CorrelatedNormal,
+    FunctionProblem,
+    Normal,
+    ProcessNormal,
+    Tolerances,
+    Triangular,
+    TruncatedNormal,
+    Uniform,
+    Zone,
+    monte_carlo,
+    sensitivity,
+)
 from rfem_jax.tolerancing.contributions import _fourth
-from rfem_jax.tolerancing.problems.distributions import Normal, ProcessNormal, Triangular, TruncatedNormal, Uniform
-from rfem_jax.tolerancing.problems.joint_distributions import CorrelatedNormal, Zone
-from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
-from rfem_jax.tolerancing.problems.problem import FunctionProblem
-from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
-from rfem_jax.tolerancing.sensitivities import sensitivity
 
 jax.config.update("jax_enable_x64", True)
 

@@ -6,16 +6,22 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rfem_jax.description.basics.errors import InputError
-from rfem_jax.tolerancing.problems.distributions import Normal, Triangular, TruncatedNormal, Uniform
-from rfem_jax.tolerancing.problems.joint_distributions import CorrelatedNormal
-from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
-from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric
-from rfem_jax.tolerancing.robust_design.cost_models import Reciprocal
+from rfem_jax import (
+    CorrelatedNormal,
+    FunctionProblem,
+    InputError,
+    Metric,
+    Normal,
+    Reciprocal,
+    Tolerances,
+    Triangular,
+    TruncatedNormal,
+    Uniform,
+    monte_carlo,
+    sensitivity,
+    worst_case,
+)
 from rfem_jax.tolerancing.robust_design.request import check_allocation
-from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
-from rfem_jax.tolerancing.sensitivities import sensitivity
-from rfem_jax.tolerancing.worst_cases import worst_case
 
 jax.config.update("jax_enable_x64", True)
 

@@ -16,14 +16,11 @@ import numpy as np
 import pytest
 
 import rfem_jax
-from rfem_jax.description.basics.errors import InputError
+from rfem_jax import FunctionProblem, InputError, Tolerances, Uniform, monte_carlo
 from rfem_jax.tolerancing.problems import execution, results_store, sample_values
-from rfem_jax.tolerancing.problems.distributions import Uniform
 from rfem_jax.tolerancing.problems.kept_evaluations import fingerprint_problem
-from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
-from rfem_jax.tolerancing.problems.problem import FunctionProblem
 from rfem_jax.tolerancing.problems.results_store import ChunkWriteError, CorruptChunkWarning, ResultsStore
-from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo, monte_carlo_samples
+from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo_samples
 
 jax.config.update("jax_enable_x64", True)
 

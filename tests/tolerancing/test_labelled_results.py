@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import xarray
 
-from rfem_jax.labelled_data import Labelled, LabelledResult, Table
-from rfem_jax.tolerancing import (
+from rfem_jax import (
     FunctionProblem,
     Metric,
     Normal,
@@ -24,6 +23,7 @@ from rfem_jax.tolerancing import (
     sweep,
     worst_case,
 )
+from rfem_jax.labelled_data import Labelled, LabelledResult, Table
 
 HOSTILE = '<img src=x onerror="alert(1)">'
 NAMES = ("a", HOSTILE)

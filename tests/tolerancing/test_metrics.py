@@ -10,19 +10,21 @@ import pytest
 
 from rfem_jax import (
     Compliance,
+    InputError,
     Joint,
     Mechanism,
+    Metric,
     PrescribedRate,
     Problem,
     RungeKutta4,
     Simulation,
     discretise,
+    metric,
+    register_metric,
     sensitivity,
 )
-from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.metrics.catalogue import JOINT_METRICS, RUN_METRICS
 from rfem_jax.tolerancing.problems import metrics
-from rfem_jax.tolerancing.problems.metrics import Metric, metric, register_metric
 from tests.mechanisms import arm, link
 
 jax.config.update("jax_enable_x64", True)

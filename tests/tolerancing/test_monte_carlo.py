@@ -13,15 +13,19 @@ import numpy as np
 import pytest
 
 import rfem_jax
-from rfem_jax.description.basics.errors import InputError
+from rfem_jax import (
+    CorrelatedNormal,
+    FunctionProblem,
+    InputError,
+    Metric,
+    Normal,
+    Tolerances,
+    Uniform,
+    expand,
+    monte_carlo,
+)
 from rfem_jax.tolerancing.problems import execution
-from rfem_jax.tolerancing.problems.distributions import Normal, Uniform
-from rfem_jax.tolerancing.problems.joint_distributions import CorrelatedNormal
 from rfem_jax.tolerancing.problems.linearisation import linearise_points
-from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
-from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric
-from rfem_jax.tolerancing.problems.quadratic_model import expand
-from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
 
 jax.config.update("jax_enable_x64", True)
 

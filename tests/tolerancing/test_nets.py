@@ -6,12 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rfem_jax.tolerancing.problems.distributions import Uniform
-from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
-from rfem_jax.tolerancing.problems.problem import FunctionProblem
-from rfem_jax.tolerancing.problems.quadratic_model import expand
+from rfem_jax import FunctionProblem, Tolerances, Uniform, expand, monte_carlo
 from rfem_jax.tolerancing.sampling import statistics
-from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
 from rfem_jax.tolerancing.sampling.sequences import NETS, net_of_samples, unit_points
 
 jax.config.update("jax_enable_x64", True)

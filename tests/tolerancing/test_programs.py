@@ -11,19 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax.description.basics.errors import InputError
+from rfem_jax import FunctionProblem, InputError, Reciprocal, Tolerances, Uniform, allocate, expand, metric, worst_case
 from rfem_jax.tolerancing.optimisation.projected_gradient import climb, climb_together, project_ball
 from rfem_jax.tolerancing.optimisation.starting_points import projection
-from rfem_jax.tolerancing.problems.distributions import Uniform
 from rfem_jax.tolerancing.problems.evaluation import evaluate_points
 from rfem_jax.tolerancing.problems.linearisation import linearise_points
-from rfem_jax.tolerancing.problems.metrics import metric
-from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
-from rfem_jax.tolerancing.problems.problem import FunctionProblem
-from rfem_jax.tolerancing.problems.quadratic_model import expand, expand_by_differences
-from rfem_jax.tolerancing.robust_design.allocation import allocate
-from rfem_jax.tolerancing.robust_design.cost_models import Reciprocal
-from rfem_jax.tolerancing.worst_cases import worst_case
+from rfem_jax.tolerancing.problems.quadratic_model import expand_by_differences
 
 jax.config.update("jax_enable_x64", True)
 

@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from rfem_jax.tolerancing.problems.distributions import Normal
-from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
-from rfem_jax.tolerancing.problems.problem import FunctionProblem
+from rfem_jax import FunctionProblem, Normal, Tolerances, reliability
 from rfem_jax.tolerancing.rare_failures.design_points import LimitState
-from rfem_jax.tolerancing.rare_failures.failure_study import reliability, sample_limits
+from rfem_jax.tolerancing.rare_failures.failure_study import sample_limits
 from rfem_jax.tolerancing.rare_failures.subset import run_subsets
 
 jax.config.update("jax_enable_x64", True)

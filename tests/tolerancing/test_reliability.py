@@ -6,15 +6,20 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from rfem_jax.description.basics.errors import InputError
-from rfem_jax.tolerancing.problems.distributions import Normal, Uniform
-from rfem_jax.tolerancing.problems.joint_distributions import CorrelatedNormal, Zone
-from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
-from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric
-from rfem_jax.tolerancing.rare_failures.failure_study import reliability
+from rfem_jax import (
+    CorrelatedNormal,
+    FunctionProblem,
+    InputError,
+    Metric,
+    Normal,
+    Tolerances,
+    Uniform,
+    Zone,
+    monte_carlo,
+    reliability,
+)
 from rfem_jax.tolerancing.rare_failures.importance import Normal as Shifted
 from rfem_jax.tolerancing.rare_failures.importance import Shell, Stretched, estimate_probability, mixture_of
-from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
 
 jax.config.update("jax_enable_x64", True)
 

@@ -3,9 +3,17 @@
 import jax
 import pytest
 
-from rfem_jax.description.basics.errors import InputError
-from rfem_jax.tolerancing import Reciprocal, Tolerances, Uniform, allocate, optimise, reliability, worst_case
-from rfem_jax.tolerancing.problems.problem import FunctionProblem
+from rfem_jax import (
+    FunctionProblem,
+    InputError,
+    Reciprocal,
+    Tolerances,
+    Uniform,
+    allocate,
+    optimise,
+    reliability,
+    worst_case,
+)
 
 jax.config.update("jax_enable_x64", True)
 

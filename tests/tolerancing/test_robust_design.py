@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 from jax.scipy.stats import norm
 
-from rfem_jax import FunctionProblem, InputError, Metric, Reciprocal, ReciprocalSquared
+from rfem_jax import FunctionProblem, InputError, Metric, Reciprocal, ReciprocalSquared, optimise, pareto_front
 from rfem_jax.tolerancing.problems.kept_evaluations import kept_in
-from rfem_jax.tolerancing.robust_design.front import pareto_front
-from rfem_jax.tolerancing.robust_design.optimisation import optimise
 
 KEY = jax.random.key(7)
 

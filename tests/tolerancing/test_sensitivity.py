@@ -7,11 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax.description.basics.errors import InputError
+from rfem_jax import FunctionProblem, InputError, Metric, expand, sensitivity
 from rfem_jax.tolerancing.problems.linearisation import REVERSE_COST, choose_mode, linearise_points
-from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric
-from rfem_jax.tolerancing.problems.quadratic_model import expand
-from rfem_jax.tolerancing.sensitivities import sensitivity
 
 jax.config.update("jax_enable_x64", True)
 

@@ -15,25 +15,25 @@ from rfem_jax import (
     Joint,
     Mechanism,
     MomentRamp,
+    Problem,
     RungeKutta4,
     Simulation,
+    Tolerances,
+    Uniform,
     assembly_errors,
+    choose_method,
     discretise,
+    monte_carlo,
+    sensitivity,
     simulate,
 )
 from rfem_jax.compilation import program
 from rfem_jax.description.methods import named_method
-from rfem_jax.simulation.accuracy import choose_method
 from rfem_jax.simulation.integration import grid_for
 from rfem_jax.simulation.time_grid import of_any_step
-from rfem_jax.tolerancing.problems.distributions import Uniform
 from rfem_jax.tolerancing.problems.evaluation import evaluate_points, split_errors
 from rfem_jax.tolerancing.problems.linearisation import linearise_points
-from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.quadratic_model import expand_by_differences
-from rfem_jax.tolerancing.problems.simulated_problem import Problem
-from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
-from rfem_jax.tolerancing.sensitivities import sensitivity
 from tests.compilation.functions import covered
 from tests.mechanisms import arm, four_bar, link
 

@@ -4,16 +4,10 @@ import jax
 import numpy as np
 import pytest
 
-from rfem_jax.description.basics.errors import InputError
+from rfem_jax import FunctionProblem, InputError, Reciprocal, Tolerances, Uniform, Zone, allocate, optimise
 from rfem_jax.description.tolerances.zones import SpecifiedZone
 from rfem_jax.tolerancing.optimisation.sizes import Sizes
-from rfem_jax.tolerancing.problems.distributions import Tolerance, Uniform
-from rfem_jax.tolerancing.problems.joint_distributions import Zone
-from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
-from rfem_jax.tolerancing.problems.problem import FunctionProblem
-from rfem_jax.tolerancing.robust_design.allocation import allocate
-from rfem_jax.tolerancing.robust_design.cost_models import Reciprocal
-from rfem_jax.tolerancing.robust_design.optimisation import optimise
+from rfem_jax.tolerancing.problems.distributions import Tolerance
 
 jax.config.update("jax_enable_x64", True)
 

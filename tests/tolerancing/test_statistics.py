@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rfem_jax.description.basics.errors import InputError
+from rfem_jax import InputError
 from rfem_jax.tolerancing.sampling import statistics
 from rfem_jax.tolerancing.sampling.sequences import design_points
 

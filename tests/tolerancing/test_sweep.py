@@ -5,10 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax.description.basics.errors import InputError
-from rfem_jax.tolerancing.designs.response_surface import fit_response_surface
-from rfem_jax.tolerancing.designs.sweep_study import sweep
-from rfem_jax.tolerancing.problems.problem import FunctionProblem, Metric
+from rfem_jax import FunctionProblem, InputError, Metric, fit_response_surface, sweep
 from rfem_jax.tolerancing.problems.results_store import StudyFolderError
 
 jax.config.update("jax_enable_x64", True)

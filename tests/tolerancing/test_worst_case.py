@@ -5,14 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax.description.basics.errors import InputError
+from rfem_jax import CorrelatedNormal, FunctionProblem, InputError, Tolerances, Uniform, worst_case
 from rfem_jax.tolerancing.optimisation.projected_gradient import climb, project_ball
 from rfem_jax.tolerancing.optimisation.starting_points import distinct, maximise_quadratic, quadratic_bound
-from rfem_jax.tolerancing.problems.distributions import Uniform
-from rfem_jax.tolerancing.problems.joint_distributions import CorrelatedNormal
-from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
-from rfem_jax.tolerancing.problems.problem import FunctionProblem
-from rfem_jax.tolerancing.worst_cases import worst_case
 
 jax.config.update("jax_enable_x64", True)
 

@@ -6,17 +6,23 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rfem_jax.description.basics.errors import InputError
+from rfem_jax import (
+    CorrelatedNormal,
+    FunctionProblem,
+    InputError,
+    ProcessNormal,
+    Tolerances,
+    Triangular,
+    TruncatedNormal,
+    Uniform,
+    Zone,
+    monte_carlo,
+    process_capability,
+    worst_case,
+)
 from rfem_jax.description.tolerances.tolerances import read_tolerances
 from rfem_jax.description.tolerances.zones import SpecifiedZone
-from rfem_jax.tolerancing.problems.capability import process_capability
-from rfem_jax.tolerancing.problems.distributions import ProcessNormal, Triangular, TruncatedNormal, Uniform
-from rfem_jax.tolerancing.problems.joint_distributions import CorrelatedNormal, Zone
-from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
-from rfem_jax.tolerancing.problems.problem import FunctionProblem
-from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo
 from rfem_jax.tolerancing.sampling.sequences import unit_points
-from rfem_jax.tolerancing.worst_cases import worst_case
 
 jax.config.update("jax_enable_x64", True)
 

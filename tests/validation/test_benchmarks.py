@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from rfem_jax import discretise
-from rfem_jax.mechanics.model.errors import assembly_errors
-from rfem_jax.mechanics.statics.assembly import assemble
+from rfem_jax import assemble, assembly_errors, discretise
 from rfem_jax.validation import cantilevers, four_bar_study, large_deflections, rotating_beams, tilted_hinge
 from rfem_jax.validation.lines import NOT_MET, PASS
 from rfem_jax.validation.reference_values import read_reference

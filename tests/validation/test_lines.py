@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from rfem_jax.description import InputError
+from rfem_jax import InputError
 from rfem_jax.report import validation_command
 from rfem_jax.report.command_line import main
 from rfem_jax.report.validation_tables import benchmark_text, markdown, write_validation

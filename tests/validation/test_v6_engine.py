@@ -4,9 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import Coordinates, State, discretise
+from rfem_jax import Coordinates, State, assembly_errors, discretise
 from rfem_jax.mechanics.dynamics.dynamics import accelerations
-from rfem_jax.mechanics.model.errors import assembly_errors
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.validation import v6_engine as engine
