@@ -99,6 +99,7 @@ def _require_known_places(mechanism: Mechanism) -> None:
     places = [(joint.parent, joint.position, f"joint `{joint.name}`") for joint in mechanism.joints]
     places += [(joint.child, joint.child_position, f"joint `{joint.name}`") for joint in mechanism.joints]
     places += [(link.name, mass.position, "a point mass") for link in mechanism.links for mass in link.point_masses]
+    places += [(point.link, point.place, f"point `{point.name}`") for point in mechanism.points]
     places += [(*end, f"force `{force.name}`") for force in mechanism.point_forces for end in force.ends()]
     flexible = {link.name: link for link in mechanism.links if link.flexible}
     for name, position, what in places:
