@@ -138,7 +138,10 @@ def test_sensitivity(task_file, tmp_path, capsys):
     assert [line.split()[1:3] for line in text.splitlines() if line.startswith("D.d_y")][1] == ["0.25", "mm"]
     assert " rad" not in text
     assert "Change with the finer step" in text
-    assert "+1.00 D.delta_x" in text
+    directions = text[text.index("the first principal direction") :].splitlines()
+    first = next(line for line in directions if line.startswith(MOMENT)).split()
+    head = next(line for line in directions if "D.delta_x" in line).split()
+    assert first[first.index("+1.00") :] == ["+1.00", "+0.00", "+0.00"] and head[-3] == "D.delta_x"
     assert "damping" not in text
 
 

@@ -156,6 +156,7 @@ def exact_metrics(change):
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_metrics_of_a_path_are_those_of_closed_kinematics(problem):
     change = 4e-4
     values, status = problem({"coupler.length": change})
@@ -165,6 +166,7 @@ def test_metrics_of_a_path_are_those_of_closed_kinematics(problem):
         assert_allclose(values[name], exact, rtol=2e-6, atol=2e-8 if "acceleration" not in name else 1e-4, err_msg=name)
 
 
+@pytest.mark.slow
 def test_derivatives_of_position_errors_are_those_of_closed_kinematics(problem):
     names = ["P@-60deg.deviation_x", "P@-60deg.x", "P.rms_deviation", "P.rms_deviation_across"]
     names += ["P.rms_angle_deviation", "P.max_deviation"]
@@ -185,6 +187,7 @@ def test_derivatives_of_position_errors_are_those_of_closed_kinematics(problem):
     assert none[names.index("P.rms_deviation")] == 0.0
 
 
+@pytest.mark.slow
 def test_derivatives_of_paths_agree_in_both_modes():
     mechanism = Mechanism(
         [link("arm", 0.3)], [Joint("A", "base", "arm", angle=0.2)], driven_joint="A",
@@ -215,6 +218,7 @@ def test_a_batch_shares_the_perfect_path(problem):
         assert_allclose(values[name][2], alone[name], rtol=1e-9, atol=1e-12, err_msg=name)
 
 
+@pytest.mark.slow
 def test_deviations_of_parameters_are_errors_and_designs_are_not(problem):
     change = 5e-4
     deviated, _ = problem({"D.position.x": change})
@@ -266,6 +270,7 @@ def test_a_mechanism_held_still_has_its_points_where_kinematics_has_them():
     assert_allclose(turn.places["P"][:, [0, 2]], exact[:, :2], atol=1e-8)
 
 
+@pytest.mark.slow
 def test_shapes_of_paths_that_are_known():
     """A hinge's end goes round, a slide's along a line, and the slide dwells where the crank turns it."""
     links = [link("crank", 0.1), link("rod", 0.3), link("slide", 0.05)]
