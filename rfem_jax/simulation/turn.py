@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.core import Tracer
 from jaxtyping import Float, Int
 
 from rfem_jax.compilation.program import Program
@@ -125,9 +126,15 @@ def kinetostatic_turn(
     **Returns:** `Turn`. Differentiable with respect to errors and deviations of parameters, also under jit, vmap,
     forward and reverse mode.
 
-    **Raises:** `InputError` for a model without a driven joint and for positions at which it does not close.
+    **Raises:** `InputError` for a model without a driven joint, one of traced numbers, and for positions at which it
+    does not close.
     """
     require_float64()
+    if isinstance(model.start_joints, Tracer):
+        raise InputError(
+            "Argument `model` of a turn must have numbers that are known, as its loops are closed at every position "
+            "before anything is compiled, but was made of traced ones; vary them as deviations among `errors`."
+        )
     positions = turn_positions(model) if positions is None else np.atleast_1d(np.asarray(positions, float))
     poses = closed_poses(model, positions)
     return turn_over(model, errors_of(model, errors), poses)

@@ -18,16 +18,20 @@ from rfem_jax import (
     Material,
     Mechanism,
     MomentRamp,
+    Point,
     PointMass,
     PointSpring,
     PointSpringFunction,
+    PrescribedRate,
     Rectangle,
+    RungeKutta4,
     Simulation,
     Tube,
     assemble,
     assembly_errors,
     design,
     discretise,
+    kinetostatic_turn,
     simulate,
 )
 from rfem_jax.mechanics.model.status import STATUS
@@ -114,6 +118,26 @@ def test_what_loops_are_closed_by_may_be_traced(traced):
     np.testing.assert_allclose(found, starts({}), rtol=0.0, atol=1e-10)
 
 
+def test_the_place_of_a_point_may_be_traced():
+    def place(x, z):
+        nominal = Mechanism([link("arm", 0.3)], [Joint("A", "base", "arm", angle=0.2)], driven_joint="A")
+        model = discretise(dataclasses.replace(nominal, points=[Point("P", "arm", (x, 0.0, z))]))
+        drive, method = PrescribedRate("A", 0.0), RungeKutta4(step=1e-3)
+        return simulate(Simulation(model, drive=drive, duration=2e-3, method=method)).points["P"].position[-1]
+
+    x, z = 0.25, 0.03
+    exact = [x * np.cos(0.2) + z * np.sin(0.2), 0.0, z * np.cos(0.2) - x * np.sin(0.2)]
+    np.testing.assert_allclose(place(x, z), exact, atol=1e-14)
+    for slopes in (jax.jit(jax.jacfwd(place, (0, 1)))(x, z), jax.jacrev(place, (0, 1))(x, z)):
+        np.testing.assert_allclose(slopes[0], [np.cos(0.2), 0.0, -np.sin(0.2)], atol=1e-14)
+        np.testing.assert_allclose(slopes[1], [np.sin(0.2), 0.0, np.cos(0.2)], atol=1e-14)
+
+
+def test_a_turn_refuses_traced_numbers():
+    with pytest.raises(InputError, match="deviations among `errors`"):
+        jax.jit(lambda x: kinetostatic_turn(discretise(described(x, 0.01, 3e4, -9.81))).holding)(0.3)
+
+
 def test_what_cannot_close_has_a_status():
     @jax.jit
     def status(length):
@@ -130,6 +154,8 @@ def test_what_cannot_close_has_a_status():
             one.joints[1], angle=x), *one.joints[2:]]), ("joints[1].angle", "start values")),
         (lambda one, x: dataclasses.replace(one, links=[*one.links[:2], link("rocker", 0.3, 3, point_masses=[PointMass(
             0.1, x)])]), ("point mass", "`rocker`", "rfem_jax.design")),
+        (lambda one, x: dataclasses.replace(one, points=[Point("P", "coupler", x)]), (
+            "point `P`", "`coupler`", "rfem_jax.design")),
         (lambda one, x: dataclasses.replace(one, reaction_length=x, redundant_reactions="minimum_norm"), (
             "reaction_length", "known before compilation")),
         (lambda one, x: dataclasses.replace(one, gravity=jnp.stack([x, x, x])[:2]), ("three components",)),
@@ -171,9 +197,12 @@ def test_a_tube_has_the_shear_factor_of_traced_diameters():
 
 
 def test_descriptions_are_trees_of_their_numbers():
-    mechanism = chain_with_forces()
-    plain = [force for force in mechanism.forces if not isinstance(force, (JointForceFunction, PointSpringFunction))]
-    mechanism = dataclasses.replace(mechanism, forces=plain)
+    with_functions = chain_with_forces()
+    leaves, tree = jax.tree.flatten(with_functions)
+    assert eqx.tree_equal(jax.tree.unflatten(tree, leaves), with_functions)
+    # A partial function of JAX is equal only to itself.
+    plain = [one for one in with_functions.forces if not isinstance(one, (JointForceFunction, PointSpringFunction))]
+    mechanism = dataclasses.replace(with_functions, forces=plain)
     leaves, tree = jax.tree.flatten(mechanism)
     again = jax.tree.unflatten(tree, leaves)
     assert again == mechanism and hash(again) == hash(mechanism) and repr(again) == repr(mechanism)
