@@ -39,12 +39,12 @@ def jacobians(function: Callable, at: Any, steps: Any) -> Jacobians:
         return (ahead - behind) / (2.0 * np.sum(along * distances))
 
     def by_numbers(columns):
-        return np.stack([np.asarray(column) for column in columns], axis=-1).reshape(*values.shape, *at.shape)
+        return np.stack([np.asarray(column) for column in columns], axis=-1).reshape(values.shape + at.shape)
 
     values, columns = zip(*(pushed(at, along) for along in directions), strict=True)
     values = np.asarray(values[0])
     rows = [pulled(at, weights) for weights in np.eye(values.size).reshape(-1, *values.shape)]
-    reverse = np.stack([np.asarray(row) for row in rows]).reshape(*values.shape, *at.shape)
+    reverse = np.stack([np.asarray(row) for row in rows]).reshape(values.shape + at.shape)
     return Jacobians(values, by_numbers(columns), reverse, by_numbers(map(difference, directions)))
 
 

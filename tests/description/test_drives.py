@@ -15,6 +15,7 @@ from rfem_jax import (
     PrescribedSpinUp,
     PrescribedTable,
 )
+from tests.derivatives import check_derivatives
 
 RAMP = MomentRamp("A", 1.5, 0.1)
 TABLE = MomentTable("A", [0.0, 0.2, 0.2, 0.3, 0.6], [1.0, 2.0, -1.0, 0.0, 3.0])
@@ -146,11 +147,7 @@ def test_drives_work_under_all_transformations(drive):
     single = [value(drive, float(t), int(p)) for t, p in zip(times, phases)]
     np.testing.assert_allclose(batch, jnp.stack(single), rtol=1e-13, atol=1e-15)
 
-    forward = jax.jacfwd(value, 1)(drive, t, phase)
-    backward = jax.grad(value, 1)(drive, t, phase)
-    difference = (value(drive, 0.35 + 1e-6, phase) - value(drive, 0.35 - 1e-6, phase)) / 2e-6
-    np.testing.assert_allclose(forward, backward, rtol=1e-13)
-    np.testing.assert_allclose(forward, difference, rtol=1e-7, atol=1e-8)
+    check_derivatives(lambda t: value(drive, t, phase), 0.35, 1e-6, reverse=1e-13, differences=1e-7)
 
 
 def test_all_numeric_leaves_are_double_precision_arrays():
