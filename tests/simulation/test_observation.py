@@ -13,6 +13,7 @@ from rfem_jax.mechanics.kinematics.cut_joints import closure
 from rfem_jax.mechanics.kinematics.motion import motion_of
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics.assembly import length_scale
+from tests.derivatives import check_derivatives
 from tests.mechanisms import link
 
 
@@ -49,9 +50,7 @@ def test_derivative_of_a_window(small):
     def load(tilt):
         return small.run({"D.delta_x": tilt}).window(0.01, 0.02).mean_square_moment["D"]
 
-    step = 1e-5
-    differences = (load(0.004 + step) - load(0.004 - step)) / (2.0 * step)
-    np.testing.assert_allclose(jax.jacfwd(load)(0.004), differences, rtol=1e-6)
+    check_derivatives(load, 0.004, 1e-5, reverse=1e-8, differences=1e-6)
 
 
 def four_bar_on_the_side(sign):

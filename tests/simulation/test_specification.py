@@ -29,6 +29,7 @@ from rfem_jax import (
     simulate,
     steady_cycle,
 )
+from tests.derivatives import check_derivatives
 from tests.description.conftest import _refused as refused
 from tests.mechanisms import four_bar, three_link_loop
 from tests.programs.conftest import PENDULUM
@@ -105,17 +106,14 @@ def test_the_simulation_of_a_study(tmp_path):
 
 @pytest.mark.slow
 def test_numbers_of_the_drive_and_of_the_design_are_traced(model, simulation):
-    def moment(height, peak):
+    def force(numbers):
+        height, peak = numbers
         changed = dataclasses.replace(
             simulation, drive=MomentRamp("A", peak, 0.01), design=design(model, {"coupler.section.height": height})
         )
         return simulate(changed).metrics.mean_square_force["A"]
 
-    slopes = jax.jit(jax.jacfwd(moment, (0, 1)))(0.008, 1.5)
-    for number, slope in enumerate(slopes):
-        step = np.eye(2)[number] * np.array([8e-6, 1.5e-3])
-        low, high = (moment(*(np.array([0.008, 1.5]) + sign * step)) for sign in (-1.0, 1.0))
-        np.testing.assert_allclose(slope, (high - low) / (2.0 * step[number]), rtol=1e-4)
+    check_derivatives(force, [0.008, 1.5], [8e-6, 1.5e-3], reverse=1e-8, differences=1e-4)
 
 
 def test_what_is_wrong_is_said(model, simulation):

@@ -9,6 +9,7 @@ from rfem_jax import InputError, Joint, Mechanism, assemble, assembly_errors, di
 from rfem_jax.mechanics.forces.bush_contacts import carrying
 from rfem_jax.simulation.turn import closed_poses, turn_over, turn_positions
 from rfem_jax.validation.clearances import TILT, flexible_four_bar
+from tests.derivatives import check_derivatives
 from tests.evaluation import evaluated
 from tests.mechanisms import BAR, STEEL, four_bar, link
 
@@ -55,9 +56,7 @@ def test_a_turn_is_the_assembly_at_its_angles_and_its_moment_the_derivative_of_t
     for name, load in other.preload.items():
         np.testing.assert_allclose(turn.loads[name].force[1], load.force, rtol=1e-7, atol=1e-6)
         np.testing.assert_allclose(turn.loads[name].moment[1], load.moment, rtol=1e-7, atol=1e-6)
-    change = evaluated(jax.jacfwd(lambda size: turned(size).holding))(jnp.ones(()))
-    high, low = (evaluated(turned)(jnp.asarray(1 + h)).holding for h in (1e-4, -1e-4))
-    np.testing.assert_allclose(change, (high - low) / 2e-4, rtol=1e-5)
+    check_derivatives(lambda size: turned(size).holding, 1.0, 1e-4, reverse=1e-8, differences=1e-5)
 
 
 def test_turns_that_cannot_be_are_refused():
