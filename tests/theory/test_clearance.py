@@ -14,6 +14,7 @@ from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics import contact
 from rfem_jax.mechanics.statics.assembly import equilibrium, held_angles
 from rfem_jax.validation.clearances import HARD, HERTZ, PLAY, TILT, depth_at_rest, flexible_four_bar, hung
+from tests.derivatives import check_derivatives
 
 
 @pytest.fixture(scope="module")
@@ -47,13 +48,8 @@ class TestFourBar:
             made = assemble(four_bar, errors, design=design(four_bar, dict(zip(names, values[1:3]))))
             return jnp.stack([jnp.sum(made.preload["D"].moment ** 2), jnp.sum(made.preload["B"].force ** 2)])
 
-        at = jnp.array([TILT, 5e-5, 0.02, 1e-5])
-        forward, backward = jax.jacfwd(loads)(at), jax.jacrev(loads)(at)
-        np.testing.assert_allclose(backward, forward, rtol=1e-8)
-        for n, size in enumerate((1e-6, 2e-9, 1e-6, 1e-8)):
-            step = size * np.eye(4)[n]
-            difference = (loads(at + step) - loads(at - step)) / (2 * size)
-            np.testing.assert_allclose(forward[:, n], difference, rtol=1e-5)
+        at, steps = [TILT, 5e-5, 0.02, 1e-5], [1e-6, 2e-9, 1e-6, 1e-8]
+        check_derivatives(loads, at, steps, reverse=1e-8, differences=1e-5)
 
     @pytest.mark.long
     def test_samples_of_a_batch_are_in_different_contact_states(self, four_bar):

@@ -37,6 +37,7 @@ from rfem_jax.description.mechanism.compliance import SprungDirection
 from rfem_jax.mechanics.laws.joint_springs import compliant_spring
 from rfem_jax.simulation.stability import eigenvalues
 from rfem_jax.validation.reference_values import read_reference
+from tests.derivatives import check_derivatives
 from tests.mechanisms import BAR, NO_MASS, STEEL, link
 
 BUSHING = Compliance(
@@ -139,13 +140,8 @@ class TestFourBarOnBushings:
             preload = assemble(made, errors).preload
             return jnp.stack([jnp.sum(preload["C"].moment ** 2), jnp.sum(preload["B"].force ** 2)])
 
-        at = jnp.asarray([*TILTED.values(), 2e3, 2e7])
-        forward, backward = jax.jacfwd(loads)(at), jax.jacrev(loads)(at)
-        np.testing.assert_allclose(backward, forward, rtol=1e-8)
-        for n in range(5):
-            step = jnp.where(jnp.arange(5) == n, 1e-4 * at, 0.0)
-            derivative = (loads(at + step) - loads(at - step)) / (2.0 * step[n])
-            np.testing.assert_allclose(forward[:, n], derivative, rtol=1e-5)
+        at = np.array([*TILTED.values(), 2e3, 2e7])
+        check_derivatives(loads, at, 1e-4 * at, reverse=1e-8, differences=1e-5)
 
     @pytest.mark.slow
     def test_in_motion(self, bushed):
@@ -355,10 +351,5 @@ def test_derivatives_of_a_motion_with_respect_to_error_and_stiffness():
         run = simulate(Simulation(made, drive=None, duration=0.01, method=method, save_every=0.01), errors=errors)
         return jnp.stack([run.metrics.mean_square_moment["A"], run.metrics.mean_square_force["C"]])
 
-    at = jnp.asarray([5e-3, 1e4, 50.0])
-    # Reverse mode transposes the rule of forward mode.
-    derivatives = jax.jacrev(end)(at)
-    for n in range(3):
-        step = jnp.where(jnp.arange(3) == n, 1e-4 * at, 0.0)
-        derivative = (end(at + step) - end(at - step)) / (2.0 * step[n])
-        np.testing.assert_allclose(derivatives[:, n], derivative, rtol=2e-4)
+    at = np.array([5e-3, 1e4, 50.0])
+    check_derivatives(end, at, 1e-4 * at, reverse=1e-8, differences=2e-4)
