@@ -17,7 +17,11 @@ from tests.programs.conftest import ROOT
 
 STUDIES = ROOT / "studies"
 FILES = sorted(path.relative_to(STUDIES).as_posix() for path in STUDIES.rglob("*.toml"))
-JOINTS = {"slider_crank": ("A", "B", "G", "P"), "six_bar_press": ("A", "B", "D", "C", "E", "G", "F")}
+JOINTS = {
+    "straight_line": ("A", "B", "D", "C"),
+    "slider_crank": ("A", "B", "G", "P"),
+    "six_bar_press": ("A", "B", "D", "C", "E", "G", "F"),
+}
 HINGES = [
     {"name": "A", "parent": "base", "child": "crank", "angle": "90 deg"},
     {"name": "D", "parent": "crank", "child": "coupler"},
@@ -176,6 +180,43 @@ def of_few_errors(*names):
 def without_tasks(text):
     tasks = ("tolerances", "sensitivity", "monte_carlo", "worst_case", "allocation")
     return "\n".join(line for line in text.splitlines() if line.split(" = ")[0] not in tasks)
+
+
+def straight_line(t, coupler=0.25, rocker=0.25, base=0.2):
+    """Path (times, 2) in x and z of the point of Chebyshev's linkage, twice as far from the crank's pin as C."""
+    turn = np.pi / 2 + 2.0 * np.pi * t
+    pin = 0.1 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    to_base = np.array([base, 0.0]) - pin
+    distance = np.linalg.norm(to_base, axis=1)
+    slope = np.arctan2(to_base[:, 1], to_base[:, 0])
+    slope = slope + np.arccos((coupler**2 - rocker**2 + distance**2) / (2.0 * coupler * distance))
+    return pin + 2.0 * coupler * np.stack([np.cos(slope), np.sin(slope)], axis=1)
+
+
+@pytest.mark.slow
+def test_straight_line(run_command):
+    """The whole stroke, against closed kinematics and a line by singular values; what README.md says of the cases."""
+    content = tomllib.loads((STUDIES / "straight_line" / "study.toml").read_text(encoding="utf-8"))
+    for task in ("sensitivity", "monte_carlo", "worst_case"):
+        del content[task]
+    out, _ = run_command("run", "\n".join(f"{key} = {to_toml(value)}" for key, value in content.items()))
+    cases = json.loads((out / "results.json").read_text())["cases"]
+    times, perfect = np.linspace(0.0, 0.5, 101), straight_line(np.linspace(0.0, 0.5, 101))
+    lengths = {"long_coupler": {"coupler": 0.2501}, "long_rocker": {"rocker": 0.2501}, "wide_base": {"base": 0.2001}}
+    for name, changed in {"perfect": {}, **lengths}.items():
+        path = straight_line(times, **changed)
+        centred = path - path.mean(axis=0)
+        straightness = 2.0 * np.abs(centred @ np.linalg.svd(centred)[2][1]).max()
+        away = path - perfect
+        found = cases[name]["metrics"]
+        assert found["P.straightness"] == pytest.approx(straightness, rel=1e-7)
+        assert found["P.max_deviation"] == pytest.approx(np.linalg.norm(away, axis=1).max(), abs=1e-9)
+        assert found["P@-180deg.deviation_z"] == pytest.approx(away[50, 1], abs=1e-9)
+    assert cases["perfect"]["metrics"]["P.straightness"] == pytest.approx(0.994e-3, rel=1e-3)
+    for name, moved, bent in (("long_coupler", 0.25, 0.046), ("wide_base", 0.2, 0.054)):
+        metrics = cases[name]["metrics"]
+        assert metrics["P.max_deviation"] == pytest.approx(1e-3 * moved, rel=1e-2)
+        assert metrics["P.straightness"] - 0.99417e-3 == pytest.approx(1e-3 * bent, rel=1e-2)
 
 
 @pytest.mark.slow

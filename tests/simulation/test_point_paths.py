@@ -248,11 +248,15 @@ def test_a_drive_that_is_given_passes_an_angle_at_another_time():
     simulation = Simulation(
         discretise(mechanism), drive=drive, method=RungeKutta4(step=1e-3), duration=0.5, save_every=0.01
     )
-    values, status = Problem(simulation, ("P@30deg.deviation", "P@0.3s.deviation"))({"steel.density": 100.0})
+    problem = Problem(simulation, ("P@30deg.deviation", "P@0.3s.deviation", "P@30deg.x", "P@0.3s.x"))
+    values, status = problem({"steel.density": 100.0})
     assert int(status) == 0
     assert values["P@30deg.deviation"] < 1e-7
     inertia = 0.235 * 1.0 * 0.3**2 / 3.0  # of the arm, to its order
     assert values["P@0.3s.deviation"] > 1e-4 * 0.05 / inertia * 0.3**2
+    # However late it is, at 30 deg the arm's end is where it is: the time of the passage has its derivative, too.
+    slopes = jax.jacfwd(lambda density: problem({"steel.density": density})[0])(100.0)
+    assert abs(slopes["P@30deg.x"]) < 1e-4 * abs(slopes["P@0.3s.x"])
 
 
 def test_a_path_of_a_deformed_link_has_its_deformation_in_it():
