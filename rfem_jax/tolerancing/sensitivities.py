@@ -41,6 +41,7 @@ from rfem_jax.tolerancing.problems.quadratic_model import (
 from rfem_jax.tolerancing.problems.reproduction import REPRODUCED, changes_by_step, changes_that_count, may_strike
 from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption
 
+NO_VALUE = "no_value"
 NOT_CONVERGED = "derivative_not_converged"
 NOT_REPRODUCED = "derivative_not_reproduced"
 ROUNDING = 1e-12  # gradient and Hessian of an error below this part of the largest ones: of no effect
@@ -56,8 +57,9 @@ class Sensitivities(LabelledSensitivities):
 
     names, error_units (k); metrics, metric_units, labels (m); at {name: value} of the point [rad, m]; scale (k,)
     half-widths t (ones when `scaled` is False); order 1 or 2; mode "forward" or "reverse"; status "ok" or the
-    problem's word for the failure, or "derivative_not_reproduced" where pins may strike their bushes and the refined
-    problem has other derivatives;
+    problem's word for the failure, "no_value" where a metric is no number, as that of an instant which the run does not
+    reach, or "derivative_not_reproduced" where pins may strike their bushes and the refined problem has other
+    derivatives;
     value (m,), gradient (m, k), hessian (m, k, k) or None: per unit;
     gradient_scaled (m, k), hessian_scaled (m, k, k) or None: per tolerance, in the metric's unit;
     effects (m, k): largest change by each error alone [metric unit], the heat map;
@@ -233,6 +235,9 @@ class Sensitivities(LabelledSensitivities):
                 f"\nresidual of the differentiated equations: {self.derivative_residual:.1e} of the change of "
                 "the joint forces"
             )
+        if self.status == NO_VALUE:
+            lacking = [name for name, value in zip(self.metrics, self.value, strict=True) if np.isnan(value)]
+            head += f"\nThe run has no value of {', '.join(lacking)}: it does not reach what the name says"
         if self.status == NOT_CONVERGED:
             head += "; too large: take a smaller tolerance or step of the method"
         if self.status == NOT_REPRODUCED:
@@ -330,8 +335,7 @@ def _report(
     scaled: bool,
     order: int,
 ) -> Sensitivities:
-    value, gradient = np.asarray(model.value), np.asarray(model.gradient)
-    hessian = None if model.hessian is None else np.asarray(model.hessian)
+    value, gradient, hessian = _where_valued(model)
     g = gradient * widths
     h = None if hessian is None else hessian * np.outer(widths, widths)
     effects = np.abs(g) + 0.5 * np.abs(_diagonal(g, h))
@@ -341,6 +345,8 @@ def _report(
     root = np.where(kinks[:, None], np.sqrt(0.5 * np.maximum(_diagonal(g, h), 0.0)), np.nan)
     gradient_change, hessian_change = changes_by_step(finer, widths, g, h, effects)
     status = describe_status(problem, model.status)
+    if status == "ok" and np.isnan(value).any():
+        status = NO_VALUE
     residual, limit = model.derivative_residual(widths), getattr(problem, "derivative_limit", None)
     # NaN has not converged either.
     if status == "ok" and residual is not None and limit is not None and not residual <= limit:
@@ -376,6 +382,17 @@ def _report(
         hessian_change=hessian_change,
         derivative_residual=residual,
     )
+
+
+def _where_valued(model: QuadraticModel) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Values (m,), gradients (m, k), Hessians (m, k, k): what has no value has no derivatives, for they would be zero,
+    those of the branch with a number."""
+    value, gradient = np.asarray(model.value), np.asarray(model.gradient)
+    lacking = np.isnan(value)
+    gradient = np.where(lacking[:, None], np.nan, gradient)
+    if model.hessian is None:
+        return value, gradient, None
+    return value, gradient, np.where(lacking[:, None, None], np.nan, np.asarray(model.hessian))
 
 
 def _diagonal(g, h):

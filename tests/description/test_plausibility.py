@@ -26,6 +26,12 @@ def test_nothing_is_said_of_the_studies(file):
     assert doubtful_numbers(load_study(file)) == []
 
 
+def test_a_point_of_300_metres(tmp_path):
+    point = '[[mechanism.points]]\nname = "T"\nlink = "piston"\nposition = 300\n\n[[cases]]\nname = "perfect"'
+    (sentence,) = of_text(tmp_path, ('[[cases]]\nname = "perfect"', point))
+    assert "`T` is 300 m from the origin" in sentence and "1.5e+03 times the longest" in sentence
+
+
 def test_a_link_of_200_metres(tmp_path):
     (sentence,) = of_text(tmp_path, ('length = "200 mm"', "length = 200"))
     assert sentence.startswith("Link `rod` is 200 m long, 5e+03 times the shortest") and '"200 mm"' in sentence

@@ -19,6 +19,7 @@ from rfem_jax import (
     design,
     discretise,
     kinetostatic_turn,
+    sensitivity,
     simulate,
 )
 from rfem_jax.description.metrics.path_metrics import path_instant
@@ -357,3 +358,28 @@ def test_an_instant_that_a_run_does_not_reach_is_no_number(problem):
     simulation = Simulation(problem.model, drive=problem.drive, method=problem.method, duration=0.1)
     values, _ = Problem(simulation, ("P@0.3s.x", "P@170deg.x"))({})
     assert np.isnan(values["P@0.3s.x"]) and np.isnan(values["P@170deg.x"])
+
+
+@pytest.mark.slow
+def test_what_a_run_does_not_reach_has_no_sensitivity_that_says_ok(problem):
+    simulation = Simulation(problem.model, drive=problem.drive, method=problem.method, duration=0.05)
+    asked = Problem(simulation, ("P@170deg.x", "P.x"))
+    found = sensitivity(asked, {"coupler.length": 1e-4}, order=1)
+    assert found.status == "no_value" and "no value of P@170deg.x:" in str(found)
+    assert np.isnan(found.gradient[0]).all() and np.isfinite(found.gradient[1]).all()
+    second = sensitivity(asked, {"coupler.length": 1e-4}, order=2)
+    assert second.status == "no_value" and np.isnan(second.hessian[0]).all() and np.isfinite(second.hessian[1]).all()
+    assert sensitivity(Problem(simulation, ("P.x",)), {"coupler.length": 1e-4}, order=1).status == "ok"
+
+
+def test_few_saved_places_have_no_straightness():
+    mechanism = Mechanism(
+        [link("arm", 0.3)], [Joint("A", "base", "arm")], driven_joint="A", points=[Point("P", "arm", 0.3)]
+    )
+    for saved, few in ((3, True), (4, False)):
+        simulation = Simulation(
+            discretise(mechanism), drive=PrescribedRate("A", 9.0), method=RungeKutta4(step=1e-3),
+            duration=3e-2 * (saved - 1), save_every=3e-2,
+        )  # fmt: skip
+        values, _ = Problem(simulation, ("P.straightness", "P.circularity"))({})
+        assert all(bool(np.isnan(value)) is few for value in values.values())

@@ -20,6 +20,8 @@ from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.basics.units import quantity
 from rfem_jax.description.metrics.catalogue import BELOW, MetricKind, add_metric, p_norm
 
+FEWEST = 4  # places that a line or a circle is sought of
+OF_SAVED = "of the places at the saved times, too small where these are few: see `save_every`"
 SLOW = 0.01  # of the largest speed: a point that is slower dwells
 # Of a point of which a study asks for no metric.
 REPORTED = (
@@ -215,6 +217,8 @@ def _turned(run: Any, owner: str) -> Float[Array, " times"]:
 def _centred(run: Any, point: str) -> tuple[Times3, Float[Array, "3 3"]]:
     """Places from their mean, and the mean of their outer products."""
     places = jnp.asarray(run.points[point.partition("@")[0]].position)
+    if places.shape[0] < FEWEST:  # any of these are straight, or round
+        places = places * jnp.nan
     places = places - jnp.mean(places, axis=0)[None]
     return places, places.T @ places / places.shape[0]
 
@@ -334,7 +338,7 @@ def _add_deviations() -> None:
          perfect=True, equation="(8.21)")  # fmt: skip
     _add("max_deviation", "m", "largest deviation of {point}",
          lambda run, owner: _root(jnp.max(jnp.sum(_deviation(run, owner) ** 2, axis=1))),
-         f"largest saved value {of}", perfect=True, kinked=True, equation="(8.21)")  # fmt: skip
+         f"largest saved value {of}", perfect=True, kinked=True, note=OF_SAVED, equation="(8.21)")  # fmt: skip
     _add("peak_deviation", "m", "16-norm of the deviation of {point}, below its maximum",
          lambda run, owner: p_norm(_deviation(run, owner)), f"{BELOW}, {of}", perfect=True,
          note=f"{BELOW}, which is `max_deviation`", equation="(8.7)")  # fmt: skip
@@ -371,14 +375,14 @@ def _add_shapes() -> None:
     _add("straightness", "m", "straightness of the path of {point}",
          lambda run, point: 2.0 * _root(jnp.max(_squares_from_line(run, point))),
          "diameter of the cylinder about the line of least squares that holds all saved places", kinked=True,
-         equation="(8.24)")  # fmt: skip
+         note=OF_SAVED, equation="(8.24)")  # fmt: skip
     _add("rms_straightness", "m", "RMS distance of {point} from a straight line",
          lambda run, point: _root(jnp.mean(_squares_from_line(run, point))),
          "root of the mean square distance of the saved places from their line of least squares",
          equation="(8.24)")  # fmt: skip
     _add("circularity", "m", "circularity of the path of {point}", _circularity,
          "largest less smallest distance of the saved places, projected to the plane that is nearest to them, from the "
-         "centre of their circle of least squares", kinked=True, equation="(8.25)")  # fmt: skip
+         "centre of their circle of least squares", kinked=True, note=OF_SAVED, equation="(8.25)")  # fmt: skip
     _add("dwell", "s", "dwell of {point}", _dwell,
          "time in which the point is slower than a hundredth of its largest speed")  # fmt: skip
 

@@ -11,11 +11,13 @@ from rfem_jax.description.study_file.study import Study
 
 LARGEST_TILT = math.radians(5.0)
 LARGEST_SHIFT = 0.1  # of the longest link
+FARTHEST_POINT = 20.0  # over the longest link
 MOST_UNEQUAL = 100.0  # length of a link over that of the shortest
 
 
 def doubtful_numbers(study: Study) -> list[str]:
-    """A sentence for every link of a strange length, and for every error or tolerance that is no small deviation."""
+    """A sentence for every link of a strange length, every point far from its link, and every error or tolerance that
+    is no small deviation."""
     lengths = [link.length for link in study.mechanism.links if link.length > 0.0]
     shortest, longest = min(lengths, default=math.inf), max(lengths, default=math.inf)
     sentences = [
@@ -24,6 +26,13 @@ def doubtful_numbers(study: Study) -> list[str]:
         for link in study.mechanism.links
         if link.length > MOST_UNEQUAL * shortest
     ]
+    for point in study.mechanism.points:
+        distance = math.hypot(*point.place)
+        if distance > FARTHEST_POINT * longest:
+            sentences.append(
+                f"Point `{point.name}` is {distance:.6g} m from the origin of its link, {distance / longest:.3g} times "
+                f"the longest link; a number without a unit is in metres: write the unit if millimetres are meant."
+            )
     for name, value, place in _errors(study):
         unit, size = deviation_unit(study.mechanism, name), abs(value)
         if unit == "rad" and size > LARGEST_TILT:
