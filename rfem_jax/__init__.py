@@ -35,7 +35,7 @@ _names = {
     "tolerancing": (
         "CorrelatedNormal Exponential FunctionProblem Metric Normal Problem ProcessNormal Reciprocal "
         "ReciprocalSquared Tolerances Triangular TruncatedNormal Uniform Zone allocate expand first_samples "
-        "fit_response_surface metric monte_carlo optimise pareto_front process_capability register_metric "
+        "fit_response_surface metric monte_carlo optimise pareto_front path_bands process_capability register_metric "
         "reliability sensitivity sweep worst_case"
     ),
     "compilation.keeping": "keep_programs",

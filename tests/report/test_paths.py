@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from rfem_jax import load_study
+from rfem_jax import InputError, load_study
 from rfem_jax.description.metrics.path_metrics import REPORTED
 from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
@@ -142,3 +142,40 @@ def test_cycles_and_turns_have_the_path(path):
     rows = np.genfromtxt(turn / "turn.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
     long = rows[rows["case"] == "long"]
     assert_allclose(long["tip_x_m"], (LENGTH + ERROR) * np.cos(long["position_rad"]), atol=1e-9)
+
+
+TOLERANCES = """
+[tolerances]
+"hand.length" = "1 mm"
+
+[monte_carlo]
+n = 16
+metrics = ["tip.max_deviation"]
+"""
+
+
+def test_monte_carlo_studies_have_the_band(path, tmp_path):
+    study = tmp_path / "study.toml"
+    study.write_text(STUDY + TOLERANCES, encoding="utf-8")
+    assert load_study(study).tasks.monte_carlo.bands == ("tip",)
+    assert main(["monte-carlo", str(study), "--out", str(tmp_path)]) == 0
+    band = columns(tmp_path / "monte_carlo_path_tip.csv")
+    values = columns(tmp_path / "monte_carlo.csv")
+    assert_allclose(band["tip_x_m"], LENGTH * np.cos(RATE * band["time_s"]), atol=1e-9)
+    reach = np.maximum(band["across_largest_m"], -band["across_smallest_m"])
+    assert_allclose(reach, values["tipmax_deviation_m"].max(), rtol=1e-9)
+    assert (tmp_path / "monte_carlo_path_tip.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("bands", "words"),
+    [
+        ('["tp"]', "has no point `tp`; did you mean `tip`"),
+        ("3", "must be a list of names of points, but was 3"),
+    ],
+)
+def test_bands_of_what_is_no_point(bands, words, tmp_path):
+    study = tmp_path / "study.toml"
+    study.write_text(f"{STUDY}{TOLERANCES}bands = {bands}\n", encoding="utf-8")
+    with pytest.raises(InputError, match=words):
+        load_study(study)

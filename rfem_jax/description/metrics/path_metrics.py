@@ -20,6 +20,7 @@ from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.basics.units import quantity
 from rfem_jax.description.metrics.catalogue import BELOW, MetricKind, add_metric, p_norm
 
+COMPARED = 33  # coordinates of the drive in a turn
 FEWEST = 4  # places that a line or a circle is sought of
 OF_SAVED = "of the places at the saved times, too small where these are few: see `save_every`"
 SLOW = 0.01  # of the largest speed: a point that is slower dwells
@@ -88,7 +89,7 @@ def _at_time(times: Float[Array, " times"], time: float) -> _Between:
 
 
 def _at_coordinate(
-    times: Float[Array, " times"], values: Float[Array, " times"], rates: Float[Array, " times"], wanted: float
+    times: Float[Array, " times"], values: Float[Array, " times"], rates: Float[Array, " times"], wanted: float | Array
 ) -> _Between:
     """Where a coordinate has a value for the first time."""
     passed = (values[:-1] - wanted) * (values[1:] - wanted) <= 0.0
@@ -258,6 +259,23 @@ def _circularity(run: Any, point: str) -> Float[Array, ""]:
     return jnp.max(distance) - jnp.min(distance)
 
 
+def _repeatability(run: Any, owner: str) -> Float[Array, ""]:
+    """Largest distance between places in the last turn of the drive and in the turn before, at equal coordinates; NaN
+    with fewer turns."""
+    path, times = run.points[owner.partition("@")[0]], jnp.asarray(run.times)
+    angle, rate = jnp.asarray(run.motion.angle), jnp.asarray(run.motion.rate)
+    position, velocity = jnp.asarray(path.position), jnp.asarray(path.velocity)
+    turn = 2.0 * jnp.pi * jnp.sign(jax.lax.stop_gradient(angle[-1] - angle[0]))
+    last = jax.lax.stop_gradient(angle[-1]) - turn * jnp.linspace(0.0, 1.0, COMPARED)
+
+    def place(coordinate: Array) -> Array:
+        at = _at_coordinate(times, angle, rate, coordinate)
+        return jnp.where(at.there, _cubic(at, position, velocity), jnp.nan)
+
+    here, before = jax.vmap(place)(last), jax.vmap(place)(last - turn)
+    return _root(jnp.max(jnp.sum((here - before) ** 2, axis=1)))
+
+
 def _dwell(run: Any, point: str) -> Float[Array, ""]:
     """Time in which the speed, linear between saved times, is below a hundredth of its largest."""
     speed = _root(jnp.sum(jnp.asarray(run.points[point.partition("@")[0]].velocity) ** 2, axis=1))
@@ -383,6 +401,9 @@ def _add_shapes() -> None:
     _add("circularity", "m", "circularity of the path of {point}", _circularity,
          "largest less smallest distance of the saved places, projected to the plane that is nearest to them, from the "
          "centre of their circle of least squares", kinked=True, note=OF_SAVED, equation="(8.25)")  # fmt: skip
+    _add("repeatability", "m", "repeatability of the path of {point}", _repeatability,
+         "largest distance between the places at equal coordinates of the first drive in its last turn and in the turn "
+         "before; no value before two turns", kinked=True, equation="(8.26)")  # fmt: skip
     _add("dwell", "s", "dwell of {point}", _dwell,
          "time in which the point is slower than a hundredth of its largest speed")  # fmt: skip
 

@@ -5,9 +5,11 @@ Place in the pipeline: task -> **monte_carlo** -> `rfem_jax.report.tasks.monte_c
 Symbols: limits in the metric's own unit; quantiles and confidence [1].
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
-from rfem_jax.description.basics.errors import Checks, require_choice, require_flag
+from rfem_jax.description.basics.errors import Checks, InputError, require_choice, require_flag, suggestion
+from rfem_jax.description.mechanism.mechanism import Mechanism
+from rfem_jax.description.metrics.catalogue import kind_and_owner
 from rfem_jax.description.tasks.settings import (
     MOST_AT_ONCE,
     MOST_SAMPLES,
@@ -39,6 +41,8 @@ class MonteCarloTask(Task):
         sobol_indices: True to estimate Sobol' indices, with d + 2 times as many simulations for d
             independent errors.
         control_variate: True to estimate means with the help of the quadratic model.
+        bands: names of points of whose paths the band is computed, from at most 256 of the samples; None for those
+            that the metrics are of.
     Raises: InputError for settings that are out of range or do not fit each other.
     """
 
@@ -53,6 +57,7 @@ class MonteCarloTask(Task):
     confidence: float = 0.95
     sobol_indices: bool = False
     control_variate: bool = False
+    bands: tuple[str, ...] | None = None
 
     def _check_fields(self, checks: Checks) -> None:
         convert_all(checks, ("n",), whole_number, 2, MOST_SAMPLES)
@@ -63,7 +68,31 @@ class MonteCarloTask(Task):
         convert_all(checks, ("quantiles",), fractions)
         convert_all(checks, ("confidence",), fraction)
         checks.convert("limits", limits_of)
+        convert_all(checks, ("bands",), _names)
         if self.metrics or not (self.limits or checks.failed):
             checks.convert("metrics", metric_names)
         if checks.passed("limits", "metrics"):
             set_fields(self, metrics=tuple(dict.fromkeys((*self.metrics, *self.limits))))
+
+    def resolved(self, mechanism: Mechanism, name: str) -> "MonteCarloTask":
+        """As `Task.resolved`; bands must be of points of the mechanism."""
+        task, known = super().resolved(mechanism, name), [point.name for point in mechanism.points]
+        assert isinstance(task, MonteCarloTask)
+        if task.bands is None:
+            owners = {kind_and_owner(metric)[1].partition("@")[0] for metric in task.metrics}
+            return replace(task, bands=tuple(point for point in known if point in owners))
+        for point in task.bands:
+            if point not in known:
+                raise InputError(
+                    f"Argument `bands` of the task `{name}` must name points of the mechanism, but it has no point "
+                    f"`{point}`; {suggestion(point, known) if known else 'add a table [[mechanism.points]].'}"
+                )
+        return task
+
+
+def _names(value: object, where: str) -> tuple[str, ...] | None:
+    """Names of points, checked but for the mechanism. Raises InputError."""
+    names = (value,) if isinstance(value, str) else value
+    if names is not None and not (isinstance(names, (list, tuple)) and all(isinstance(one, str) for one in names)):
+        raise InputError(f'Argument `{where}` must be a list of names of points, but was {value!r}; write ["P"].')
+    return None if names is None else tuple(dict.fromkeys(names))

@@ -5,7 +5,7 @@ Failed samples are counted, and not drawn; a study succeeds as long as any sampl
 mm, metrics in their own units.
 """
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +13,12 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
+from rfem_jax.compilation.stages import on_stage
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.monte_carlo import MonteCarloTask
 from rfem_jax.description.tolerances.error_catalogue import as_specified
 from rfem_jax.report.annotations import Axes, Figure
+from rfem_jax.report.output import write_csv
 from rfem_jax.report.style import (
     BAR_COLOURS,
     CASE_COLOURS,
@@ -26,16 +28,18 @@ from rfem_jax.report.style import (
     panel_grid,
 )
 from rfem_jax.report.tasks import study_problem
+from rfem_jax.report.tasks.path_figure import band_figure
 from rfem_jax.report.tasks.sampled_report import SampledReport
 from rfem_jax.report.tasks.sobol_bars import sobol_figure
 from rfem_jax.report.tasks.task_files import metric_units
 from rfem_jax.report.tasks.task_report import GRADIENT, as_stage
 from rfem_jax.text_layout import size_text
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
-from rfem_jax.tolerancing.problems.sharing import process_count
+from rfem_jax.tolerancing.problems.sharing import process_count, process_index
 from rfem_jax.tolerancing.sampling.monte_carlo_result import MonteCarloResult
 from rfem_jax.tolerancing.sampling.monte_carlo_study import first_samples, monte_carlo_samples
 from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo as sample_problem
+from rfem_jax.tolerancing.sampling.path_bands import path_bands
 from rfem_jax.tolerancing.sampling.sampled_studies import SampleStudy
 
 MOST_PANELS = 12
@@ -68,17 +72,22 @@ class MonteCarloReport(SampledReport[MonteCarloTask, MonteCarloResult]):
             f" of {process_count()} process{'es' if process_count() > 1 else ''}"
         )
         with self.folder_in_words(folder):
-            return sample_problem(
-                study_problem.build_problem(self.study, task.metrics, trials=self.trials()),
-                Tolerances.of(self.study), task.n, jax.random.key(task.seed), batch=task.batch, lanes=task.lanes,
+            problem = study_problem.build_problem(self.study, task.metrics, trials=self.trials())
+            result = sample_problem(
+                problem, Tolerances.of(self.study), task.n, jax.random.key(task.seed), batch=task.batch,
+                lanes=task.lanes,
                 sampling=task.sampling, limits=task.limits, quantiles=task.quantiles, confidence=task.confidence,
                 sobol_indices=task.sobol_indices, control_variate=task.control_variate or None, progress=progress,
                 **self.kept_as(folder),
             )  # fmt: skip
+        if not task.bands or process_index() != 0:
+            return result
+        on_stage(f"Paths of {', '.join(task.bands)}")
+        return replace(result, path_bands=path_bands(problem, result, task.bands))
 
     def write(self, folder: Path, result: MonteCarloResult) -> list[Path]:
         """Write monte_carlo.json and monte_carlo.csv (one row per sample: status, errors, metrics, with their units in
-        the names of the columns)."""
+        the names of the columns), and monte_carlo_path_POINT.csv of every band."""
         together = result.joint_yield
         content = {
             "samples": result.samples,
@@ -93,7 +102,11 @@ class MonteCarloReport(SampledReport[MonteCarloTask, MonteCarloResult]):
             "control_note": result.control_note,
             "units": metric_units(result.metrics, result.metric_units),
         }
-        return self.write_both(folder, content, result.rows())
+        bands = [
+            write_csv(folder / f"monte_carlo_path_{point}.csv", band.rows())
+            for point, band in result.path_bands.items()
+        ]
+        return self.write_both(folder, content, result.rows()) + bands
 
     def simulations(self) -> list[str]:
         specified, count, gradients = self.tolerances, *self._numbers()
@@ -119,7 +132,9 @@ class MonteCarloReport(SampledReport[MonteCarloTask, MonteCarloResult]):
             "histograms": histogram_figure(self.study, result),
             "scatter_matrix": scatter_matrix_figure(self.study, result),
         }
-        return figures if result.sobol_indices is None else figures | {"sobol": sobol_figure(self.study, result)}
+        if result.sobol_indices is not None:
+            figures["sobol"] = sobol_figure(self.study, result)
+        return figures | {f"path_{point}": band_figure(self.study, one) for point, one in result.path_bands.items()}
 
 
 def _statistics(result: MonteCarloResult, metric: str) -> dict[str, Any]:

@@ -226,6 +226,10 @@ class Problem(eqx.Module):
             return self, (LINEAR_ERROR,)
         return self._changed(metrics=list(named.values())), (LINEAR_ERROR,)
 
+    def with_metrics(self, metrics: Iterable[str | Metric]) -> "Problem":
+        """The same simulations with other metrics. Raises InputError as `Problem`."""
+        return self._changed(metrics=tuple(metrics))
+
     def _changed(self, **settings: Any) -> "Problem":
         metrics = settings.pop("metrics", self.metrics)
         kept = {name: getattr(self, name) for name in ("drive", "duration", "method", "save_every", "design")}

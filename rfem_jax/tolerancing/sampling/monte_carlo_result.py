@@ -6,7 +6,7 @@ Symbols: N runs, d errors, m metrics, n random samples (the first n of the N run
 design for Sobol' indices and enter no other statistic).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -15,6 +15,7 @@ from rfem_jax.labelled_data import Parts, Table
 from rfem_jax.mechanics.elements.linear_validity import REMARKABLE_LINEAR_ERROR
 from rfem_jax.tolerancing.labelled_results import LabelledMonteCarlo
 from rfem_jax.tolerancing.layout import show_number
+from rfem_jax.tolerancing.sampling.path_band import PathBand
 from rfem_jax.tolerancing.sampling.statistics import ControlledMean, Estimate, SobolIndices
 
 
@@ -50,7 +51,8 @@ class MonteCarloResult(LabelledMonteCarlo):
     sobol_indices {metric: SobolIndices} or None;
     controlled_means {metric: ControlledMean} or None, control_note: why one is missing;
     confidence of all intervals; sampling: kind of the random points;
-    chunks_computed: by this process in this call; seconds: its time.
+    chunks_computed: by this process in this call; seconds: its time;
+    path_bands {point: PathBand}: where the samples have points, if it was asked for.
     """
 
     names: tuple[str, ...]
@@ -75,6 +77,7 @@ class MonteCarloResult(LabelledMonteCarlo):
     chunks_computed: int
     seconds: float
     linear_errors: Float[np.ndarray, " N"] | None = None
+    path_bands: dict[str, PathBand] = field(default_factory=dict)
 
     @property
     def good(self) -> int:
@@ -117,6 +120,8 @@ class MonteCarloResult(LabelledMonteCarlo):
             parts += ["", self._index_table(self.sobol_indices)]
         if self.controlled_means:
             parts += ["", self._control_table(self.controlled_means)]
+        for band in self.path_bands.values():
+            parts += ["", *band.parts()]
         return [*parts, *(note for note in (self.control_note, self.remark) if note)]
 
     def _statistics_table(self) -> Table:
