@@ -34,7 +34,7 @@ _names = {
     "robust_design.front": "pareto_front",
     "robust_design.optimisation": "optimise",
     "sampling.monte_carlo_study": "first_samples monte_carlo",
-    "sampling.path_bands": "path_bands",
+    "sampling.sampled_paths": "path_bands",
     "sensitivities": "sensitivity",
     "worst_cases": "worst_case",
 }

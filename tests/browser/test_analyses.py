@@ -172,3 +172,28 @@ def test_the_cycle_shows_where_the_bearings_are_pressed(open_page, folder, tmp_p
     before = ends(page, "#orbit polyline")
     page.choose("#orbit-joint", "C")
     assert ends(page, "#orbit polyline") != before and page.complaints() == []
+
+
+def test_bands_of_paths(open_page, folder, tmp_path):
+    """The widest part is shown at first; ends of the band and of the envelope are those of the file, in mm."""
+    out = shutil.copytree(folder, tmp_path / "out")
+    content = json.loads((out / "monte_carlo.json").read_text(encoding="utf-8"))
+    band = {"samples": 32, "level": 0.95, "time": [0.0, 0.1, 0.2, 0.3]}
+    for part, size in (("along", 1e-4), ("across", 3e-4)):
+        rising = [size * (1.0 + 0.5 * i) for i in range(4)]
+        band[part] = {
+            "low": [-one for one in rising], "high": rising,
+            "smallest": [-1.5 * one for one in rising], "largest": [1.5 * one for one in rising[:3]] + [None],
+        }  # fmt: skip
+    content["path_bands"] = {"P": band}
+    (out / "monte_carlo.json").write_text(json.dumps(content), encoding="utf-8")
+    page = open_page(write_folder(out))
+    page.tab("Monte Carlo")
+    assert page.run("return document.querySelector('#band-of').value") == "P across"
+    assert "between the edges of the band are 95 % of them" in page.text("#bands")
+    across = ends(page, "#bands polyline")
+    assert len(across) == 3 and len(ends(page, "#bands polygon.band")) == 1
+    page.choose("#band-of", "P along")
+    # All numbers are a third, and so is the axis: curves stay, its numbers change.
+    assert ends(page, "#bands polyline") == across and "0.2" in page.text("#bands svg")
+    assert page.complaints() == []

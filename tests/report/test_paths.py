@@ -161,6 +161,9 @@ def test_monte_carlo_studies_have_the_band(path, tmp_path):
     assert main(["monte-carlo", str(study), "--out", str(tmp_path)]) == 0
     band = columns(tmp_path / "monte_carlo_path_tip.csv")
     values = columns(tmp_path / "monte_carlo.csv")
+    written = json.loads((tmp_path / "monte_carlo.json").read_text(encoding="utf-8"))["path_bands"]["tip"]
+    assert_allclose(written["across"]["high"], band["across_high_m"], rtol=1e-9)
+    assert written["samples"] == 16
     assert_allclose(band["tip_x_m"], LENGTH * np.cos(RATE * band["time_s"]), atol=1e-9)
     reach = np.maximum(band["across_largest_m"], -band["across_smallest_m"])
     assert_allclose(reach, values["tipmax_deviation_m"].max(), rtol=1e-9)

@@ -23,7 +23,7 @@ from rfem_jax import (
     monte_carlo,
     path_bands,
 )
-from rfem_jax.tolerancing.sampling.path_bands import TIMES
+from rfem_jax.tolerancing.sampling.sampled_paths import TIMES
 from tests.mechanisms import link
 
 LENGTH, RATE, STEP = 0.3, 6.0, 5e-3

@@ -39,7 +39,8 @@ from rfem_jax.tolerancing.problems.sharing import process_count, process_index
 from rfem_jax.tolerancing.sampling.monte_carlo_result import MonteCarloResult
 from rfem_jax.tolerancing.sampling.monte_carlo_study import first_samples, monte_carlo_samples
 from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo as sample_problem
-from rfem_jax.tolerancing.sampling.path_bands import path_bands
+from rfem_jax.tolerancing.sampling.path_band import PARTS, PathBand
+from rfem_jax.tolerancing.sampling.sampled_paths import path_bands
 from rfem_jax.tolerancing.sampling.sampled_studies import SampleStudy
 
 MOST_PANELS = 12
@@ -102,6 +103,8 @@ class MonteCarloReport(SampledReport[MonteCarloTask, MonteCarloResult]):
             "control_note": result.control_note,
             "units": metric_units(result.metrics, result.metric_units),
         }
+        if result.path_bands:
+            content["path_bands"] = {point: _band_content(band) for point, band in result.path_bands.items()}
         bands = [
             write_csv(folder / f"monte_carlo_path_{point}.csv", band.rows())
             for point, band in result.path_bands.items()
@@ -135,6 +138,14 @@ class MonteCarloReport(SampledReport[MonteCarloTask, MonteCarloResult]):
         if result.sobol_indices is not None:
             figures["sobol"] = sobol_figure(self.study, result)
         return figures | {f"path_{point}": band_figure(self.study, one) for point, one in result.path_bands.items()}
+
+
+def _band_content(band: PathBand) -> dict[str, Any]:
+    """Ends of the band and of the envelope [m] by parts, at its times [s]."""
+    ends = {"low": band.low, "high": band.high, "smallest": band.smallest, "largest": band.largest}
+    content: dict[str, Any] = {"samples": len(band.deviations), "level": band.level, "time": band.times}
+    content["perfect"] = band.perfect
+    return content | {part: {name: values[:, i] for name, values in ends.items()} for i, part in enumerate(PARTS)}
 
 
 def _statistics(result: MonteCarloResult, metric: str) -> dict[str, Any]:

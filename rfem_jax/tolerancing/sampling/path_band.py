@@ -1,6 +1,6 @@
 """The band of the paths of a point: where samples have it, about its path on the perfect mechanism.
 
-Place in the pipeline: path_bands -> **path_band** -> Monte Carlo results, tables, files and pictures.
+Place in the pipeline: sampled_paths -> **path_band** -> Monte Carlo results, tables, files and pictures.
 
 Parts of a deviation are those of theory (8.22): along the path of the perfect mechanism, across it within the plane,
 and out of the plane.

@@ -21,6 +21,8 @@ function samplesPage(task) {
   const indices = (one, kind) => Object.fromEntries(asEntries(one[kind]).map(([factor, index]) => [factor, index && numberOr(100 * index.value, null)]));
   const parts = [section("Statistics", statisticsTable(result)),
     contributionsSection(asEntries(result.metrics), (one) => indices(one, "total_indices"), () => null, result)];
+  const bands = bandSection(result);
+  if (bands) parts.push(bands);
   const without = (words) => [...parts, section("Scatter and histograms of samples", make("p", { class: "hint", id: "no-samples" }, words))];
   if (!task.samples) return without("There is no scatter plot and no histogram: this folder has no monte_carlo.csv, or another file of that name.");
   const samples = readSamples(task.samples);

@@ -1,6 +1,6 @@
 """Bands of paths: between which paths the points of mechanisms go that are made within their tolerances.
 
-Place in the pipeline: samples of a Monte Carlo study -> the same mechanisms, their paths -> **path bands**.
+Place in the pipeline: samples of a Monte Carlo study -> the same mechanisms, their paths -> **sampled_paths**.
 
 The places of some samples at some saved times are metrics of a problem of their own, so that all that computes metrics
 computes them.
