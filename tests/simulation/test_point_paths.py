@@ -68,7 +68,11 @@ def simulated(mechanism, errors=None, record=(), duration=0.3, step=1e-3, save_e
 
 @pytest.fixture(scope="module")
 def run():
-    return simulated(four_bar(Point("P", "coupler", PLACE), Point("Q", "coupler", PLACE, "crank")))
+    return simulated(
+        four_bar(
+            Point("P", "coupler", PLACE), Point("Q", "coupler", PLACE, "crank"), Point("R", "coupler", PLACE, "rocker")
+        )
+    )
 
 
 def test_a_coupler_curve_has_its_closed_kinematics(run):
@@ -86,14 +90,27 @@ def test_a_coupler_curve_has_its_closed_kinematics(run):
     assert_allclose(path.position[:, 1], 0.0, atol=1e-12)
 
 
-def test_a_path_seen_from_a_link_is_that_of_its_frame(run):
+def frame_of(link, t):
+    """Origin (2,) in x and z and slope of the crank or the rocker."""
+    a = START + RATE * t
+    if link == "crank":
+        return jnp.zeros(2), a
+    slope = exact_coupler(t)[2]
+    x = CRANK * jnp.cos(a) + COUPLER * jnp.cos(slope) - GROUND
+    z = CRANK * jnp.sin(a) + COUPLER * jnp.sin(slope)
+    return jnp.array([GROUND, 0.0]), jnp.arctan2(z, x)
+
+
+@pytest.mark.parametrize(("point", "link"), [("Q", "crank"), ("R", "rocker")])
+def test_a_path_seen_from_a_link_is_that_of_its_frame(run, point, link):
     def seen(t):
         x, z, slope = exact_coupler(t)
-        a = START + RATE * t
+        (x0, z0), a = frame_of(link, t)
+        x, z = x - x0, z - z0
         return jnp.stack([x * jnp.cos(a) + z * jnp.sin(a), z * jnp.cos(a) - x * jnp.sin(a), slope - a])
 
     times = jnp.asarray(run.times)
-    path, others = run.points["Q"], [jax.vmap(seen)(times)]
+    path, others = run.points[point], [jax.vmap(seen)(times)]
     others += [jax.vmap(jax.jacfwd(seen))(times), jax.vmap(jax.jacfwd(jax.jacfwd(seen)))(times)]
     for values, exact, within in zip((path.position, path.velocity, path.acceleration), others, (1e-9, 1e-7, 1e-5)):
         assert_allclose(values[:, [0, 2]], exact[:, :2], atol=within)
