@@ -20,9 +20,9 @@ from rfem_jax.lazy_names import lazy_names as _lazy_names
 
 _names = {
     "description": (
-        "Automatic Bearing Case Circle Clearance Compliance Explicit ForceFunction ForceRamp ForceTable "
-        "GeneralisedAlpha GivenSection InputError Joint JointForceFunction JointForceTable JointFriction JointSpring "
-        "Leapfrog Link Material Mechanism Method MomentFunction "
+        "Automatic Bearing Case Circle Clearance Compliance DistributedForce Explicit ForceFunction ForceRamp "
+        "ForceTable GeneralisedAlpha GivenSection InputError Joint JointForceFunction JointForceTable JointFriction "
+        "JointSpring Leapfrog Link Material Mechanism Method MomentFunction "
         "MomentRamp MomentTable Point PointForce PointMass PointMoment PointSpring PointSpringFunction "
         "PointSpringTable "
         "PrescribedDisplacements PrescribedFunction PrescribedRate PrescribedRunUp PrescribedSpeed "

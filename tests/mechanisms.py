@@ -7,6 +7,7 @@ import numpy as np
 
 from rfem_jax import (
     Compliance,
+    DistributedForce,
     GivenSection,
     Joint,
     JointForceFunction,
@@ -345,6 +346,24 @@ def loop_with_point_forces():
         PointForce("follower", "rocker", 0.3, (30.0, -20.0, 30.0), axes="link"),
         PointForce("jump", "crank", (0.1, 0.0, 0.02), rows, times=[0, 0.1, 0.1, 0.3]),
         PointMoment("twist", "coupler", 0.1, over_time, breakpoints=[0.05], axes="link"),
+    ])  # fmt: skip
+
+
+def loop_with_line_loads():
+    """The four-bar with loads along its links: whole and in part, constant and linear, in global axes and with the
+    link, on a rigid link and on rfes with joints and without, by a table with a jump and by a function of time."""
+
+    def over_time(t, phase):
+        return jnp.stack([10.0 * t, 2.0 * phase.astype(jnp.float64), 1.0 + t])
+
+    def rows(*heights):
+        return [(height, 2.0 * height, 30.0 - height) for height in heights]
+
+    return four_bar(forces=[
+        DistributedForce("wind", "coupler", (30, -20, 50), axes="link"),
+        DistributedForce("ramp", "coupler", (5, 0, -20), (-40, 30, 70), begin=0.03, end=0.21),
+        DistributedForce("table", "rocker", rows(1, 5, 2, 2), rows(-3, 2, 0, 9), end=0.2, times=[0, 0.1, 0.1, 0.3]),
+        DistributedForce("function", "crank", over_time, begin=0.02, breakpoints=[0.05], axes="link"),
     ])  # fmt: skip
 
 

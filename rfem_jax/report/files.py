@@ -23,7 +23,7 @@ from jaxtyping import Float
 
 from rfem_jax.compilation.keeping import state
 from rfem_jax.description.basics.joint_kinds import KINDS
-from rfem_jax.description.mechanism.point_forces import AtPoint
+from rfem_jax.description.mechanism.point_forces import LoadOnLink
 from rfem_jax.description.metrics.catalogue import notes_on, unit_of
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.mechanics.forces.bush_contacts import CONTACT_NAMES, ContactState
@@ -103,11 +103,11 @@ def _first_angle(study: Study, run: Run) -> dict[str, Float[np.ndarray, " times"
 
 
 def _point_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " times"]]:
-    """Length and tension of springs between points; components of the forces and moments at points."""
+    """Length and tension of springs between points; components of the forces and moments at points and along links."""
     columns = {}
     for force in study.mechanism.point_forces:
         history = run.forces[force.name]
-        if isinstance(force, AtPoint):
+        if isinstance(force, LoadOnLink):
             values = np.asarray(getattr(history, force.dimension))
             for letter, one in zip("xyz", values.T, strict=True):
                 columns[column_name(f"{force.name}_{force.dimension}_{letter}", force.unit)] = one

@@ -8,8 +8,9 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
+from rfem_jax.description.mechanism.distributed_forces import DistributedForce
 from rfem_jax.description.mechanism.mechanism import Mechanism
-from rfem_jax.description.mechanism.point_forces import AtPoint
+from rfem_jax.description.mechanism.point_forces import LoadOnLink
 from rfem_jax.report.annotations import Axes3D, Run
 
 ARROW = 0.15  # of the size of the mechanism
@@ -26,13 +27,17 @@ def draw_forces(axes: Axes3D, mechanism: Mechanism, run: Run, size: float, drawn
     for force in mechanism.point_forces:
         history = run.forces[force.name]
         places = [np.asarray(part)[0] for part in (history.first_place, history.place)]
-        if isinstance(force, AtPoint):
+        if isinstance(force, LoadOnLink):
             places = places[1:]
         ends = force.ends()
+        if isinstance(force, DistributedForce):
+            # All of it, at the middle of the loaded piece.
+            begin, end = force.along(mechanism.link(force.link))
+            ends = ((force.link, (float(0.5 * (begin + end)), 0.0, 0.0)),)
         points = [drawn(link, at[0], place) for (link, at), place in zip(ends, places, strict=True)]
         if not np.isfinite(points).all():
             continue
-        if isinstance(force, AtPoint):
+        if isinstance(force, LoadOnLink):
             vector = arrow(np.asarray(getattr(history, force.dimension)), ARROW * size)
             style = "--" if force.dimension == "moment" else "-"
             # Its tip is at the point: arrows that start there would hide the links that they pull.

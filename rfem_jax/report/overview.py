@@ -12,6 +12,7 @@ from typing import Any
 from rfem_jax.description.basics.joint_kinds import KINDS
 from rfem_jax.description.drives.driven_motions import AnyDrive
 from rfem_jax.description.drives.numbers_by_name import drive_number_names, drive_number_unit, drive_number_value
+from rfem_jax.description.mechanism.distributed_forces import DistributedForce
 from rfem_jax.description.mechanism.forces import Force, JointForce, JointForceTable, JointFriction
 from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.mechanism import EQUILIBRIUM, Mechanism
@@ -145,8 +146,12 @@ def _forces_text(mechanism: Mechanism) -> str:
 
 
 def _points_text(force: Force) -> str:
-    """Where a force at points acts, and what it is if that is constant."""
+    """Where a force at points or along a link acts, and what it is if that is constant."""
     assert isinstance(force, PointLoad)
+    if isinstance(force, DistributedForce):
+        values = [force.load] if force.end_load is None else [force.load, force.end_load]
+        sizes = [f"({', '.join(f'{x:g}' for x in value)}) N/m" for value in values if not force.changes]
+        return f"along {force.link}, {' to '.join(sizes) or 'over time'} in {force.axes} axes"
     places = [f"{link} ({', '.join(f'{x:g}' for x in place)}) m" for link, place in force.ends()]
     if not isinstance(force, AtPoint):
         return f"between {' and '.join(places)}"

@@ -199,7 +199,7 @@ def require_constant_rate(model: Model, drive: Drive) -> PrescribedRate:
             "constant rate alone."
         )
     require_driven(model, drive)
-    if changing(model.frame_forces):
+    if changing(model.vectors_of_time):
         raise InputError(
             "Argument `model` of a cycle must have forces that do not depend on time, but one does; leave it out, or "
             "simulate several revolutions."

@@ -78,22 +78,22 @@ def active_drives(model: Model, drive: Drive) -> ActiveDrives:
         for k, one in zip(coordinates, drives, strict=True)
     ]
     every = all_jumps(drive, model)
-    mixed = len(drives) > 1 or bool(breakpoints_of(model.frame_forces))
+    mixed = len(drives) > 1 or bool(breakpoints_of(model.vectors_of_time))
     own = tuple(own_breakpoints(one, every) for one in drives) if mixed else (None,) * len(drives)
-    jumps = every if changing(model.frame_forces) else None
+    jumps = every if changing(model.vectors_of_time) else None
     return ActiveDrives(drives, tuple(starts), coordinates, own, jumps)
 
 
 def all_jumps(drive: Drive, model: Model | None) -> tuple[float, ...]:
     """Times [s] > 0 at which a drive or a force of the model jumps, increasing."""
-    of_forces = () if model is None else breakpoints_of(model.frame_forces)
+    of_forces = () if model is None else breakpoints_of(model.vectors_of_time)
     return merged([*of_forces, *(time for one in each_drive(drive) for time in one.breakpoints())])
 
 
 def all_step_ends(drive: Drive, model: Model | None, interval: float) -> tuple[float, ...]:
     """Times [s] that are ends of steps in intervals of a length [s], beside the jumps: rows of tables over time, and
     places within a short rise."""
-    of_forces = () if model is None else rows_of(model.frame_forces)
+    of_forces = () if model is None else rows_of(model.vectors_of_time)
     return merged([*of_forces, *(time for one in each_drive(drive) for time in one.step_ends(interval))])
 
 

@@ -15,7 +15,7 @@ from jax.core import Tracer
 from rfem_jax.description.drives.rotations import GivenDrive, MomentFunction, PrescribedFunction
 from rfem_jax.description.drives.translations import ForceFunction
 from rfem_jax.mechanics.laws.frame_forces import Time
-from rfem_jax.mechanics.laws.point_laws import FunctionVector, GivenLoad
+from rfem_jax.mechanics.laws.point_laws import FunctionVector
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.simulation.driving import Drive, active_drives, all_jumps
 from rfem_jax.simulation.time_grid import TimeGrid
@@ -54,8 +54,7 @@ def _sampled(model: Model, drive: Drive, grid: TimeGrid) -> list[np.ndarray]:
         for k, one in zip(active.coordinates, active.drives, strict=True)
         if isinstance(one, (MomentFunction, ForceFunction, PrescribedFunction))
     ]
-    elements = [] if model.frame_forces is None else list(model.frame_forces.values())
-    vectors = [one.value for one in elements if isinstance(one, GivenLoad) and isinstance(one.value, FunctionVector)]
+    vectors = [one for one in model.vectors_of_time if isinstance(one, FunctionVector)]
     if not functions and not vectors:
         return []
     passed = jnp.asarray((-1.0, *all_jumps(drive, model)))

@@ -60,7 +60,7 @@ def _bare(model: Model) -> Model:
     """The model without its source and without force elements that have no tangent: the program does not read them, and
     thousands of them would be its arguments."""
     kept = {name: element for name, element in (model.frame_forces or {}).items() if element.components}
-    return dataclasses.replace(model, source=None, frame_forces=kept or None)
+    return dataclasses.replace(model, source=None, frame_forces=kept or None, line_loads=None)
 
 
 def mass_matrices(constants: NodeConstants, scale: float) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:

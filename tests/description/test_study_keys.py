@@ -15,6 +15,7 @@ from rfem_jax.description.tolerances import tolerances
 from .test_bearings import BEARING
 from .test_clearance import CLEARANCE
 from .test_compliance import COMPLIANCE
+from .test_distributed_forces import LINES
 from .test_force_reader import IN_JOINTS, SPRINGS
 from .test_forces import FORCES
 from .test_point_forces import FORCES as POINT_FORCES
@@ -134,7 +135,7 @@ def asked(tmp_path, monkeypatch):
     for drive in [full[start:end], *(f"[drive]{part}" for part in DRIVES.split("[drive]")[1:])]:
         path = tmp_path / "study.toml"
         path.write_text(
-            full[:start] + FORCES + POINT_FORCES + SPRINGS + POINTS + drive + full[end:] + ALL_TASKS + OPTIMISE,
+            full[:start] + FORCES + POINT_FORCES + LINES + SPRINGS + POINTS + drive + full[end:] + ALL_TASKS + OPTIMISE,
             encoding="utf-8",
         )
         load_study(path)

@@ -14,6 +14,7 @@ from rfem_jax import (
     Circle,
     Clearance,
     Compliance,
+    DistributedForce,
     GivenSection,
     Joint,
     JointForceFunction,
@@ -122,6 +123,8 @@ def chain_of_everything():
         PointMoment("twist", "d", 0.1, law_of_time, breakpoints=[0.05], axes="link"),
         PointMoment("turn", "e", 0.1, (0.1, 0.2, 0.3)),
         PointMoment("swing", "i", (0.02, 0.0, 0.0), moments, times=[0, 0.2]),
+        DistributedForce("wind", "d", (30.0, -20.0, 30.0), (5.0, 40.0, -9.0), begin=0.04, end=0.2, axes="link"),
+        DistributedForce("rain", "h", rows, times=[0, 0.1, 0.2], begin=0.02),
     ]  # fmt: skip
     return Mechanism(links, joints, driven_joint=["A", "C.T_y"], forces=forces, gravity=(1.0, -2.0, -9.0))
 

@@ -28,6 +28,7 @@ from tests.mechanisms import (
     loop_cut_by,
     loop_cut_by_sprung,
     loop_with_a_ball,
+    loop_with_line_loads,
     loop_with_point_forces,
     loop_with_springs,
     open_chain,
@@ -91,6 +92,7 @@ CASES = [
     (loop_with_springs, "moment", "geometrically_exact"),
     (chain_with_forces, "prescribed", "linear"),
     (loop_with_point_forces, "moment", "linear"),
+    (loop_with_line_loads, "moment", "linear"),
     (loop_with_a_ball, "moment", "linear"),
     (chain_with_drives, "several", "linear"),
     *[(named(loop_cut_by, kind), "moment", "linear") for kind in ("prismatic", "planar")],
@@ -125,7 +127,7 @@ def compared(request):
     def both(errors, state):
         actual = apply_errors(model, errors)
         drive = drives_of(model.topology, driven)
-        if model.frame_forces is not None:
+        if model.vectors_of_time:
             drive = drive._replace(time=Time(0.2, 0.1))
         state = close(actual, impose(model.topology, state, drive))
         fast = accelerations(actual, state, drive, GAINS)

@@ -1,13 +1,14 @@
 """Internal loads of moving links: of springs, and from the links' ends, equal to the sum of all that acts beyond."""
 
 import dataclasses
+from itertools import pairwise
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import PointForce, PointMass, discretise
+from rfem_jax import DistributedForce, PointForce, PointMass, discretise
 from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.dynamics.dynamics import accelerations
@@ -32,7 +33,12 @@ def six_bar():
     heavy = {"rocker": (mass,), "output": (dataclasses.replace(mass, position=(0.1, 0.02, 0.01)),)}
     links = [dataclasses.replace(one, point_masses=heavy.get(one.name, ())) for one in mechanism.links]
     push = PointForce("push", "rocker", (0.17, 0.005, 0.0), force=(11.0, -7.0, 5.0))
-    return dataclasses.replace(mechanism, links=tuple(links), forces=(push,))
+    lines = [
+        DistributedForce("wind", "rocker", (900.0, -300.0, 500.0), (-100.0, 700.0, 200.0), begin=0.02, axes="link"),
+        DistributedForce("snow", "rocker", (50.0, 30.0, -800.0), end=0.17),
+        DistributedForce("water", "output", (0.0, 200.0, -300.0), (0.0, 0.0, 500.0), begin=0.03, end=0.09),
+    ]
+    return dataclasses.replace(mechanism, links=tuple(links), forces=(push, *lines))
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +115,29 @@ def beyond(model, out, name, x):
         exerted = now.frame_loads.exerted[key]
         on = is_beyond(topology, l, element.child.node, element.child.position[0], middles, a, x)
         total -= wrench(exerted.moment, exerted.force, exerted.place) * on
+    for one in six_bar().forces:
+        if isinstance(one, DistributedForce) and one.link == name:
+            nodes = [l, *(topology.n_links + a + i for i in range(n - 1))]
+            total -= of_line(one, x, length / float(model.length[l]), (edges, middles), (rotation, point, nodes))
     return -total
+
+
+def of_line(one, x, scale, along, placed):
+    """Wrench at the global origin of the part of a described load beyond x, by quadrature over each rfe."""
+    (edges, middles), (rotation, point, nodes) = along, placed
+    begin = scale * (one.begin or 0.0)
+    end = edges[-1] if one.end is None else scale * one.end
+    total, last = np.zeros(6), one.load if one.end_load is None else one.end_load
+    for i, (low, high) in enumerate(pairwise(edges)):
+        node = nodes[i]
+        low, high = np.clip([max(low, x), high], begin, end)
+        half = 0.5 * max(high - low, 0.0)
+        for s, weight in zip(low + half * (1 + POINTS), half * WEIGHTS):
+            share = (s - begin) / (end - begin)
+            force = weight * ((1.0 - share) * np.array(one.load) + share * np.array(last))
+            force = rotation[:, :, node] @ force if one.axes == "link" else force
+            total += wrench(0.0, force, point[:, node] + (s - middles[i]) * rotation[:, 0, node])
+    return total
 
 
 def is_beyond(topology, l, node, place, middles, a, x):

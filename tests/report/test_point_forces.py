@@ -1,22 +1,26 @@
 """Forces at points and between them: the overview of `check`, columns of histories, the picture."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from rfem_jax import PointForce, PointMoment, PointSpring, PointSpringTable
+from rfem_jax import DistributedForce, PointForce, PointMoment, PointSpring, PointSpringTable, discretise
 from rfem_jax.report.files import history_columns
 from rfem_jax.report.force_shapes import arrow, zigzag
 from rfem_jax.report.overview import _forces_text
+from rfem_jax.report.page.acting import acting_arrays, describe_acting
 from rfem_jax.report.shapes import assembly_figure
 from rfem_jax.report.study_cost import saved_times
 from rfem_jax.simulation.run import PointHistory
+from tests.mechanisms import four_bar
 
 FORCES = (
     PointSpring("coil", ["base", "coupler"], [(0.1, 0, 0), 0.15], 200.0, free_length="8 cm"),
     PointForce("push", "rocker", (0.1, 0, 0.01), [(0, 0, 0), (0, 0, 5), (0, 0, 5)], [0, 0.123, 0.25], axes="link"),
     PointMoment("twist", "crank", 0.0, (0, 2, 0)),
+    DistributedForce("wind", "coupler", (0, 0, 10), (0, 0, 30), begin=0.1),
 )  # fmt: skip
 
 
@@ -36,29 +40,34 @@ def run(runs):
         "coil": PointHistory(-20.0 * one * [0, 0, 1.0], still, one * [0.1, 0, 0] + z, one * [0.1, 0, 0]),
         "push": PointHistory(np.linspace(0, 5, 11)[:, None] * [1.0, 0, 0], still, one * [0.2, 0, 0.1], still),
         "twist": PointHistory(still, one * [0, 2.0, 0], still, still),
+        "wind": PointHistory(one * [0, 0, 4.0], still, one * [0.3, 0, 0.2], still),
     }
     return run
 
 
 def test_overview(loaded):
-    coil, push, twist = _forces_text(loaded.mechanism).splitlines()
+    coil, push, twist, wind = _forces_text(loaded.mechanism).splitlines()
     assert coil.startswith("Force coil: point spring between base (0.1, 0, 0) m and coupler (0.15, 0, 0) m")
     assert "stiffness 200, damping 0, free length 0.08" in coil
     assert push == "Force push: point force at rocker (0.1, 0, 0.01) m, over time in link axes."
     assert twist == "Force twist: point moment at crank (0, 0, 0) m, (0, 2, 0) N m in global axes."
+    assert wind == (
+        "Force wind: distributed force along coupler, (0, 0, 10) N/m to (0, 0, 30) N/m in global axes (SI: begin 0.1)."
+    )
     table = PointSpringTable("t", ["base", "crank"], [(1, 0, 0), 0.1], [0, 1], [2, 3])
     assert "point spring table between base" in _forces_text(replace(loaded.mechanism, forces=[table]))
 
 
 def test_columns(loaded, run):
     columns = history_columns(loaded, run)
-    names = list(columns)[-8:]
+    names = list(columns)[-11:]
     assert names == ["coil_length_m", "coil_tension_N", *(f"push_force_{x}_N" for x in "xyz"),
-                     *(f"twist_moment_{x}_Nm" for x in "xyz")]  # fmt: skip
+                     *(f"twist_moment_{x}_Nm" for x in "xyz"), *(f"wind_force_{x}_N" for x in "xyz")]  # fmt: skip
     np.testing.assert_allclose(columns["coil_length_m"], np.linspace(0.3, 0.4, 11))
     np.testing.assert_allclose(columns["coil_tension_N"], 20.0)
     np.testing.assert_allclose(columns["push_force_x_N"], np.linspace(0.0, 5.0, 11))
     np.testing.assert_allclose(columns["twist_moment_y_Nm"], 2.0)
+    np.testing.assert_allclose(columns["wind_force_z_N"], 4.0)
 
 
 def test_jumps_are_saved_times(loaded, study):
@@ -73,7 +82,7 @@ def test_the_picture_shows_them(loaded, run):
     figure = assembly_figure(loaded, {"P1": run})
     (axes,) = figure.axes
     texts = [text.get_text().strip() for text in axes.texts]
-    assert {"coil", "push", "twist"} <= {*texts}
+    assert {"coil", "push", "twist", "wind"} <= {*texts}
     # From the base's point to the coupler, whose deflection is exaggerated: away from where the run has it.
     spring = next(line for line in axes.lines if len(line.get_data_3d()[0]) == 20)
     points = np.array(spring.get_data_3d()).T
@@ -91,3 +100,17 @@ def test_arrows_and_zigzags():
         across = np.linalg.norm(points - np.outer(points @ end, end) / (np.array(end) @ end), axis=1)
         np.testing.assert_allclose([across[0], across[-1]], 0.0, atol=1e-15)
         np.testing.assert_allclose(across[2:-2], 0.01)
+
+
+def test_the_page_is_told_of_them():
+    """A load along a link is drawn as all of its force, on the link that it acts on."""
+    model = discretise(four_bar(2, forces=FORCES))
+    histories = {name: PointHistory(*np.full((4, 11, 3), n)) for n, name in enumerate(("coil", "twist", "wind"))}
+    run = SimpleNamespace(model=model, forces=histories)
+    told = describe_acting(run)["forces"]
+    assert told == [
+        {"name": "coil", "kind": "spring", "links": ["base", "coupler"]},
+        {"name": "twist", "kind": "moment", "links": ["crank"]},
+        {"name": "wind", "kind": "force", "links": ["coupler"]},
+    ]
+    np.testing.assert_allclose(acting_arrays(run, told, np.arange(2))["force_value"][:, 2], 2.0)

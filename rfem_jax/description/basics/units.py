@@ -62,6 +62,7 @@ DIMENSIONS = {
     "pressure": ((1, -1, -2, 0), "Pa", "210 GPa"),
     "force": ((1, 1, -2, 0), "N", "12 kN"),
     "moment": ((1, 2, -2, 0), "N m", "1.5 N m"),
+    "line_load": ((1, 0, -2, 0), "N/m", "2 kN/m"),
     "rate": ((0, 0, -1, 1), "rad/s", "60 rpm"),
     "speed": ((0, 1, -1, 0), "m/s", "0.2 m/s"),
     "acceleration": ((0, 1, -2, 0), "m/s^2", "9.81 m/s^2"),

@@ -3,5 +3,6 @@
 materials, sections, rigid_bodies, links
 joints                     with their bearings, compliance and clearance
 forces, point_forces       springs, dampers, friction and forces in joints, and at points
+distributed_forces         forces along links
 mechanism                  all of these together
 """

@@ -61,7 +61,7 @@ class Mechanism(NumberTree, ChecksItself):
             own `start`).
         forces: JointSpring, JointFriction, JointForceTable and JointForceFunction objects along joints; PointSpring,
             PointSpringTable and PointSpringFunction objects between points of links, PointForce and PointMoment
-            objects at them.
+            objects at them, DistributedForce objects along links.
         reaction_length: length [m], > 0, over which moments count beside forces in the sum of squares of
             "minimum_norm"; None: that of the longest link.
         points: Point objects, whose paths runs follow.
@@ -162,7 +162,7 @@ class Mechanism(NumberTree, ChecksItself):
 
     @property
     def point_forces(self) -> tuple[PointLoad, ...]:
-        """The forces at points of links and between them."""
+        """The forces at points of links, between them and along links."""
         return tuple(force for force in self.forces if isinstance(force, PointLoad))
 
     @property

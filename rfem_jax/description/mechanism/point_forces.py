@@ -1,7 +1,7 @@
 """Forces at points of links and between them: springs with dampers, forces and moments over time.
 
-Place in the pipeline: `Mechanism` holds them beside those along joints; the mechanics evaluates them inside compiled
-code.
+Place in the pipeline: forces, links -> **point_forces** -> distributed_forces, mechanism. `Mechanism` holds them beside
+those along joints; the mechanics evaluates them inside compiled code.
 
 A point is given in the frame of its link; on a flexible link the rfe whose segment it lies in holds it.  Springs pull
 their two points together with their tension, along the line through both.  Source: theory (3.18) to (3.23).
@@ -57,11 +57,7 @@ class PointLoad(Force, ChecksItself):
     def require_points(self, links: Mapping[str, Link]) -> None:
         """Raise InputError unless its points are points of `links` (by name) and not rigidly joined."""
         for name, place in self.ends():
-            if name not in links and name != "base":
-                raise InputError(
-                    f"Argument `{self.link_argument}` of force `{self.name}` must name links of the mechanism, but "
-                    f"there is no link `{name}`; {suggestion(name, [*links])}"
-                )
+            self.require_link(name, links)
             if name != "base" and links[name].flexible:
                 length = links[name].length
                 if is_known(place[0], length) and not 0.0 <= place[0] <= length * (1.0 + _ROUNDING):
@@ -69,6 +65,14 @@ class PointLoad(Force, ChecksItself):
                         f"Argument `{self.place_argument}` of force `{self.name}` must lie on the flexible link "
                         f"`{name}` (x from 0 to {length} m), but has x = {place[0]} m; move it, or make the link rigid."
                     )
+
+    def require_link(self, name: str, links: Mapping[str, Link]) -> None:
+        """Raise InputError for a name that is neither of `links` nor of the base."""
+        if name not in links and name != "base":
+            raise InputError(
+                f"Argument `{self.link_argument}` of force `{self.name}` must name links of the mechanism, but "
+                f"there is no link `{name}`; {suggestion(name, [*links])}"
+            )
 
     link_argument = "link"
     place_argument = "position"
@@ -204,23 +208,22 @@ class PointSpringFunction(BetweenPoints):
         checks.convert("function", _function, f"of force `{self.name}`", "length, rate", (), ("float64", "float64"))
 
 
-class AtPoint(PointLoad):
-    """A force or a moment at a point of one link: constant, or over time."""
+class LoadOnLink(PointLoad):
+    """A given force or moment on one link: constant, or over time."""
 
-    numbers: ClassVar[Fields] = {"position": ("length", ANY)}
     link: str
-    position: Place
     times: Any
     breakpoints: Any
     axes: str
 
     unit = "N"
-    dimension = "force"
+    dimension = "force"  # of what a run tells of it
+    vectors: ClassVar[Mapping[str, str]] = {"force": "force"}  # {field: dimension} of what is given
 
     @property
     def value(self) -> Any:
-        """The force [N] or moment [N m]."""
-        return getattr(self, self.dimension)
+        """The first of these."""
+        return getattr(self, next(iter(self.vectors)))
 
     @property
     def changes(self) -> bool:
@@ -234,18 +237,23 @@ class AtPoint(PointLoad):
         return (*(later for one, later in pairwise(self.times) if one == later), self.times[-1])
 
     def _check_fields(self, checks: Checks) -> None:
-        value = self.dimension
         checks.convert("name", require_name, "`name` of a force")
         of = f"of force `{self.name}`"
         checks.convert("link", _moving_link, f"`link` {of}")
-        checks.convert("position", place_on_link, f"`position` {of}")
+        self._check_place(checks, of)
         checks.convert("axes", require_choice, AXES, f"`axes` {of}")
         if self.times is not None:
             checks.convert("times", table_times, False)
         checks.convert("breakpoints", checked_breakpoints)
-        checks.relation(("times", "breakpoints"), self._check_times, value, of)
+        given = {name: dimension for name, dimension in self.vectors.items() if getattr(self, name) is not None}
+        checks.relation(("times", "breakpoints"), self._check_times, next(iter(self.vectors)), of)
         times = None if "times" in checks.wrong else self.times
-        checks.convert(value, _values, self.dimension, value, of, times)
+        for name, dimension in given.items():
+            checks.convert(name, _values, dimension, name, of, times)
+
+    @abc.abstractmethod
+    def _check_place(self, checks: Checks, of: str) -> None:
+        """Convert the numbers that say where on the link it acts."""
 
     def _check_times(self, value: str, of: str) -> None:
         changes = callable(self.value)
@@ -259,6 +267,16 @@ class AtPoint(PointLoad):
                 f"Argument `breakpoints` {of} must be left out where `{value}` is not a function, but was "
                 f"{list(self.breakpoints)}; give a time of a table twice for a jump."
             )
+
+
+class AtPoint(LoadOnLink):
+    """A force or a moment at a point of one link."""
+
+    numbers: ClassVar[Fields] = {"position": ("length", ANY)}
+    position: Place
+
+    def _check_place(self, checks: Checks, of: str) -> None:
+        checks.convert("position", place_on_link, f"`position` {of}")
 
     def ends(self) -> tuple[tuple[str, tuple[float, float, float]], ...]:
         return ((self.link, self.position),)  # pyright: ignore[reportReturnType]  # converted
@@ -318,6 +336,7 @@ class PointMoment(AtPoint):
 
     unit = "N m"
     dimension = "moment"
+    vectors: ClassVar[Mapping[str, str]] = {"moment": "moment"}
 
 
 def _two(entries: Any, where: str, what: str) -> tuple[Any, Any]:

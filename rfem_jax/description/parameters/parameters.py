@@ -25,7 +25,7 @@ from rfem_jax.description.mechanism.forces import Force, JointForce, JointForceT
 from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.links import Link
 from rfem_jax.description.mechanism.mechanism import Mechanism
-from rfem_jax.description.mechanism.point_forces import AtPoint, BetweenPoints, PointSpringTable
+from rfem_jax.description.mechanism.point_forces import BetweenPoints, LoadOnLink, PointSpringTable
 from rfem_jax.description.mechanism.rigid_bodies import RigidBody
 from rfem_jax.description.mechanism.sections import Tube
 from rfem_jax.description.parameters.parts import Parts, Path, number_at, parts_of
@@ -269,7 +269,7 @@ def _of_forces(parts: Parts) -> Iterator[Parameter]:
         yield from _fields(owner, force, _force_fields(force, parts), [path])
         if isinstance(force, (JointForceTable, PointSpringTable)):
             yield _parameter(owner, "factor", ("none", ANY), [(*path, "forces")], factor=True)
-        if isinstance(force, AtPoint):
+        if isinstance(force, LoadOnLink):
             yield from _of_load(owner, force, path)
         if isinstance(force, BetweenPoints):
             for n in range(2):
@@ -278,14 +278,15 @@ def _of_forces(parts: Parts) -> Iterator[Parameter]:
                     yield _parameter(owner, f"points.{n + 1}.{axis}", ("length", ANY), at)
 
 
-def _of_load(owner: tuple[str, str], force: AtPoint, path: Path) -> Iterator[Parameter]:
-    """Of a force or moment at a point: its components, or the factor of its table."""
+def _of_load(owner: tuple[str, str], force: LoadOnLink, path: Path) -> Iterator[Parameter]:
+    """Of a force or moment on a link: its components, or the factor of its tables."""
     if callable(force.value):
         return
     if force.times is not None:
-        yield _parameter(owner, "factor", ("none", ANY), [(*path, force.dimension)], factor=True)
+        tables = [(*path, name) for name in force.vectors if getattr(force, name) is not None]
+        yield _parameter(owner, "factor", ("none", ANY), tables, factor=True)
         return
-    yield from _fields(owner, force, {force.dimension: (force.dimension, ANY)}, [path])
+    yield from _fields(owner, force, {name: (dimension, ANY) for name, dimension in force.vectors.items()}, [path])
 
 
 def _force_fields(force: Force, parts: Parts) -> Fields:

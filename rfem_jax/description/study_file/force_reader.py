@@ -5,7 +5,7 @@ Place in the pipeline: `study_reader` calls it with one table of [[mechanism.joi
 
 The keys are the names of the arguments of Joint, JointSpring, PointForce, ...; a force's "kind" chooses its class. What
 acts in a joint may stand in the joint's own table, too, as `stiffness`, `damping`, `spring` and `friction`; a spring or
-a force at a point says by its other keys what it is. All of this is translated here, and nowhere else.
+a force on a link says by its other keys what it is. All of this is translated here, and nowhere else.
 """
 
 from typing import Any
@@ -23,6 +23,7 @@ from rfem_jax.description.basics.tables import (
 from rfem_jax.description.mechanism.bearings import Bearing
 from rfem_jax.description.mechanism.clearance import Clearance
 from rfem_jax.description.mechanism.compliance import Compliance, TablesByDirection
+from rfem_jax.description.mechanism.distributed_forces import DistributedForce
 from rfem_jax.description.mechanism.forces import Force, JointForce, JointForceTable, JointFriction, JointSpring
 from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.point_forces import AXES, PointForce, PointMoment, PointSpring, PointSpringTable
@@ -35,9 +36,11 @@ FORCES = {
     "point_spring_table": PointSpringTable,
     "point_force": PointForce,
     "point_moment": PointMoment,
+    "distributed_force": DistributedForce,
 }
 SPRINGS = ("point_spring", "point_spring_table", "joint_spring")  # kinds of [[mechanism.springs]]
-AT_POINTS = {"force": "point_force", "moment": "point_moment"}  # kinds that need not be said, by a key that says it
+# Kinds that need not be said, by a key that says it.
+ON_LINKS = {"force": "point_force", "moment": "point_moment", "load": "distributed_force"}
 FUNCTION_KEYS = ("breakpoints",)  # of functions, which a file cannot hold
 IN_JOINTS = {"spring": JointSpring, "friction": JointFriction}  # tables of a joint, which is their `joint`
 OF_ITS_JOINT = ("name", "joint")
@@ -129,16 +132,16 @@ def read_force(table: object, place: str) -> Force:
     """Return the force of a table [[mechanism.forces]]."""
     problems = Problems()
     known = [*keys_of_all(FORCES.values(), omit=FUNCTION_KEYS), "frame"]
-    at_point = next((kind for key, kind in AT_POINTS.items() if isinstance(table, dict) and key in table), None)
-    needed = () if at_point and isinstance(table, dict) and "kind" not in table else ("kind",)
-    said = table.get("kind", at_point) if isinstance(table, dict) else None
+    on_link = next((kind for key, kind in ON_LINKS.items() if isinstance(table, dict) and key in table), None)
+    needed = () if on_link and isinstance(table, dict) and "kind" not in table else ("kind",)
+    said = table.get("kind", on_link) if isinstance(table, dict) else None
     if isinstance(said, str) and said in FORCES and isinstance(table, dict):
         # The nearest key of this kind is meant; keys of others are told by name below.
         required, optional = force_keys(said)
         known = [key for key in known if key in table or key in (*required, *optional)]
     content = checked_table(table, place, needed, [*known, "kind"], problems)
-    kind = content.setdefault("kind", at_point)
-    if kind in AT_POINTS.values() and "frame" in content:
+    kind = content.setdefault("kind", on_link)
+    if kind in ON_LINKS.values() and "frame" in content:
         with problems.noted():
             _frame_as_axes(content, place)
     return build_of_kind(content, "kind", FORCES, force_keys, place, problems)
@@ -147,7 +150,7 @@ def read_force(table: object, place: str) -> Force:
 def force_keys(kind: str) -> tuple[list[str], list[str]]:
     """The required and the optional keys of [[mechanism.forces]] of a kind."""
     required, optional = keys_of(FORCES[kind], omit=FUNCTION_KEYS)
-    if kind in AT_POINTS.values():
+    if kind in ON_LINKS.values():
         return required, ["kind", *optional, "frame"]
     return ["kind", *required], optional
 

@@ -96,6 +96,9 @@ def loads_of_sections(model: Model, actual: ModelWithErrors, state: State, now: 
             wrench = wrench + _piece_loads(
                 model, actual, link, bodies.at(rfes), _reference_positions(actual, link, rfes), x
             )
+            if now.frame_loads is not None and now.frame_loads.lines is not None:
+                start = _reference_positions(actual, link, rfes)
+                wrench = wrench - _line_loads(actual, now.frame_loads, link, bodies.at(rfes), rfes, (start, x))
             wrench = wrench + _attachment_loads(attachments, sections, n, SAME_PLACE * length)
             parts.append((x + _middles(actual, link, rfes), _section_resultants(bodies.at(rfes), x, wrench)))
         if not parts:
@@ -288,6 +291,31 @@ def _piece_loads(model: Model, actual: ModelWithErrors, link: int, bodies: _Bodi
     principal = jnp.stack([principal[0], principal[1] + slender, principal[2] + slender])
     inertia = jnp.asarray(vectors.IDENTITY)[:, :, None] * principal[:, None]
     return _inertial_wrench(actual, bodies, mass, jnp.stack([middle, zero, zero]), inertia)
+
+
+def _line_loads(
+    actual: ModelWithErrors,
+    at_nodes: FrameLoads,
+    link: int,
+    bodies: _Bodies,
+    rfes: Sequence[int],
+    piece: tuple[Array, Array],
+) -> Array:
+    """Loads along the link on pieces of its rfes between two places [m] on these, as wrenches (6, sections) at the
+    global origin."""
+    assert actual.frame_forces is not None
+    middle, total = _middles(actual, link, rfes), jnp.zeros((6, len(rfes)))
+    start, stop = (x + middle for x in piece)
+    for name, line in (actual.frame_forces.lines or {}).items():
+        if line.link != link:
+            continue
+        assert at_nodes.lines is not None
+        pieces = line.over(at_nodes.lines[name], start, stop, middle)
+        force, lever = pieces.force, pieces.lever
+        if line.turning:
+            force, lever = apply(bodies.rotation, force), apply(bodies.rotation, lever)
+        total = total + vectors.wrench_at_origin(cross(bodies.rotation[:, 0], lever), force, bodies.point)
+    return total
 
 
 def _middles(actual: ModelWithErrors, link: int, rfes: Sequence[int]) -> Array:

@@ -2,7 +2,7 @@
 
 Place in the pipeline: kinematics, frame_forces -> **element_loads** -> dynamics, residual, loads, statics, newton.
 
-Source: theory (3.18), (3.23), (7.22).
+Source: theory (3.18), (3.23) to (3.26), (7.22).
 """
 
 from typing import NamedTuple
@@ -14,10 +14,11 @@ from jax import Array
 from jaxtyping import Float
 
 from rfem_jax.mechanics.algebra import vectors
-from rfem_jax.mechanics.algebra.vectors import Scalar, apply, apply_transposed, cross, dot, product
+from rfem_jax.mechanics.algebra.vectors import Scalar, apply, apply_transposed, cross, dot, product, scaled
 from rfem_jax.mechanics.kinematics.motion import Motion, node_frames
 from rfem_jax.mechanics.laws.frame_forces import START, FrameForce, Pose, Time, pose_between
-from rfem_jax.mechanics.model.model import BASE, Topology
+from rfem_jax.mechanics.laws.line_loads import LineLoad
+from rfem_jax.mechanics.model.model import BASE, Topology, rfe_fractions
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 
@@ -37,7 +38,8 @@ class FrameLoads(NamedTuple):
     exerted: by their names; force [N], moment [N m] (3, nodes): on all nodes at their reference points, in the axes of
     their links; wrench (6,): on all nodes together at the global origin; dissipated, power [W]: of the dampers, and of
     the elements that act from outside and whose work is not known by their poses; lost [W]: of the dampers, by the
-    names of their elements.
+    names of their elements; lines: loads along links at their begins and ends [N/m] (3, 2), by their names; what these
+    exert in all, about the middle of the loaded piece, is among `exerted`.
     """
 
     exerted: dict[str, Exerted]
@@ -47,6 +49,7 @@ class FrameLoads(NamedTuple):
     dissipated: Float[Array, ""]
     power: Float[Array, ""]
     lost: dict[str, Float[Array, ""]]
+    lines: dict[str, Float[Array, "3 2"]] | None = None
 
 
 class ElementTangents(NamedTuple):
@@ -87,7 +90,76 @@ def frame_loads(actual: ModelWithErrors, motion: Motion, time: Time | None) -> F
                 here = jnp.asarray(np.arange(nodes) == end.node, float)[None]
                 total = [sum + part[:, None] * here for sum, part in zip(total, on_node)]
                 wrench = wrench + sign * vectors.wrench_at_origin(moment, force, child.place)
-        return FrameLoads(exerted, total[0], total[1], wrench, dissipated, power, lost)
+        found = FrameLoads(exerted, total[0], total[1], wrench, dissipated, power, lost)
+        return found if actual.frame_forces.lines is None else _with_lines(actual, motion, found, time)
+
+
+def _with_lines(actual: ModelWithErrors, motion: Motion, found: FrameLoads, time: Time | None) -> FrameLoads:
+    """The loads with those along links (theory (3.24) to (3.26))."""
+    assert actual.frame_forces is not None
+    topology, share, loads = actual.topology, actual.frame_forces.share, {}
+    for name, line in (actual.frame_forces.lines or {}).items():
+        loads[name] = share * line.at(START if time is None else time)
+        link, n = line.link, topology.n_links
+        a, b = topology.ranges[link]
+        on_rfes = _line_on_rfes(actual, motion, line, loads[name])
+        of_all = on_rfes.exerted
+
+        def of_nodes(values: Array, link=link, n=n, a=a, b=b) -> Array:
+            """Values (3, rfes) of the link's rfes among all nodes."""
+            widths = link, n - link - 1 + a, topology.n_rfes - b
+            before, between, after = (jnp.zeros((3, width)) for width in widths)
+            return jnp.concatenate([before, values[:, :1], between, values[:, 1:], after], axis=1)
+
+        found = found._replace(
+            exerted=found.exerted | {name: of_all},
+            force=found.force + of_nodes(on_rfes.force),
+            moment=found.moment + of_nodes(on_rfes.moment),
+            wrench=found.wrench + vectors.wrench_at_origin(of_all.moment, of_all.force, of_all.place),
+            power=found.power + on_rfes.power,
+        )
+    return found._replace(lines=loads)
+
+
+class _OnRfes(NamedTuple):
+    """A load along a link on its rfes: force [N] and moment [N m] at their reference points, in link axes; power [W];
+    all of it about the middle of its loaded piece, as it is deformed."""
+
+    force: Float[Array, "3 rfes"]
+    moment: Float[Array, "3 rfes"]
+    power: Float[Array, ""]
+    exerted: Exerted
+
+
+def _line_on_rfes(actual: ModelWithErrors, motion: Motion, line: LineLoad, load: Float[Array, "3 2"]) -> _OnRfes:
+    """A load along a link as forces and moments on its rfes that do the same work."""
+    topology, link, relative = actual.topology, line.link, motion.relative
+    a, b = topology.ranges[link]
+    shares, middles = rfe_fractions(topology.elements[link])
+    edges = np.concatenate([[0.0], np.cumsum(shares)])
+    length = actual.beam_middle[link] / middles[0]
+    at_start = np.array([0.0, *middles[1:]])  # the reference point of rfe 0 is the start of the link
+    pieces = line.over(load, length * edges[:-1], length * edges[1:], length * at_start)
+    axes, origin = motion.links.rotation[:, :, link], motion.links.point[:, link]
+    rotation = jnp.concatenate([jnp.asarray(vectors.IDENTITY)[:, :, None], relative.rotation[:, :, a:b]], axis=2)
+    zero = jnp.zeros((3, 1))
+    point, linear, angular = (
+        jnp.concatenate([zero, part[:, a:b]], axis=1) for part in (relative.position, relative.linear, relative.angular)
+    )
+    if line.turning:
+        force, lever = apply(rotation, pieces.force), apply(rotation, pieces.lever)
+    else:
+        force, lever = apply_transposed(axes[..., None], pieces.force), apply_transposed(axes[..., None], pieces.lever)
+    moment = cross(rotation[:, 0], lever)
+    of_link = motion.links.velocity[:, link]
+    spin = apply_transposed(axes, of_link[:3])[:, None]
+    at_origin = apply_transposed(axes, of_link[3:] + cross(of_link[:3], origin))[:, None]
+    power = dot(force, at_origin + cross(spin, point) + linear) + dot(moment, spin + angular)
+    loaded = point + scaled(pieces.middle - length * at_start, rotation[:, 0])
+    middle = jnp.sum(scaled(pieces.extent, loaded), axis=1) / (line.end - line.begin)[None]
+    about = jnp.sum(moment + cross(point - middle[:, None], force), axis=1)
+    all_force, about, middle = (apply(axes, part) for part in (jnp.sum(force, axis=1), about, middle))
+    return _OnRfes(force, moment, jnp.sum(power), Exerted(all_force, about, origin + middle, jnp.zeros(3)))
 
 
 def frame_energy(actual: ModelWithErrors, motion: Motion) -> Float[Array, ""]:

@@ -109,13 +109,6 @@ class FrameForce(eqx.Module):
         return -jax.vmap(along, out_axes=1)(units[:k])[:k]
 
 
-class FrameForceSet(eqx.Module):
-    """All force elements of a mechanism, by their names; share: of their full wrenches, for load steps."""
-
-    elements: dict[str, FrameForce]
-    share: Float[Array, ""]
-
-
 def pose_between(
     parent: tuple[Float[Array, "3 3"], Float[Array, "3"], Float[Array, "6"]],
     child: tuple[Float[Array, "3 3"], Float[Array, "3"], Float[Array, "6"]],

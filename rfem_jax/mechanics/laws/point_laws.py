@@ -7,8 +7,8 @@ A spring pulls its child towards its parent with a tension that depends on the d
 """
 
 import abc
-from collections.abc import Callable
-from typing import ClassVar
+from collections.abc import Callable, Iterable
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -20,6 +20,7 @@ from jaxtyping import Float
 from rfem_jax.description.mechanism.point_forces import (
     AtPoint,
     BetweenPoints,
+    LoadOnLink,
     PointMoment,
     PointSpring,
     PointSpringFunction,
@@ -207,22 +208,19 @@ class GivenLoad(FrameForce):
         return (jnp.zeros_like(value), value) if self.moment else (value, jnp.zeros_like(value))
 
 
-def changing(elements: dict[str, FrameForce] | None) -> bool:
-    """Whether any element is a function of time."""
-    given = [element for element in (elements or {}).values() if isinstance(element, GivenLoad)]
-    return any(not isinstance(element.value, ConstantVector) for element in given)
+def changing(vectors: Iterable[TimeVector]) -> bool:
+    """Whether any of these is not constant."""
+    return any(not isinstance(vector, ConstantVector) for vector in vectors)
 
 
-def breakpoints_of(elements: dict[str, FrameForce] | None) -> tuple[float, ...]:
-    """Times [s] > 0 at which any element's function of time jumps, increasing."""
-    given = [element for element in (elements or {}).values() if isinstance(element, GivenLoad)]
-    return tuple(sorted({time for element in given for time in element.value.breakpoints()}))
+def breakpoints_of(vectors: Iterable[TimeVector]) -> tuple[float, ...]:
+    """Times [s] > 0 at which any of these jumps, increasing."""
+    return tuple(sorted({time for vector in vectors for time in vector.breakpoints()}))
 
 
-def rows_of(elements: dict[str, FrameForce] | None) -> tuple[float, ...]:
+def rows_of(vectors: Iterable[TimeVector]) -> tuple[float, ...]:
     """Times [s] of the rows of all tables over time."""
-    given = [element for element in (elements or {}).values() if isinstance(element, GivenLoad)]
-    return tuple(time for element in given for time in element.value.rows())
+    return tuple(time for vector in vectors for time in vector.rows())
 
 
 def spring_between(force: BetweenPoints, parent: NodeFrame, child: NodeFrame) -> PointLaw:
@@ -239,13 +237,14 @@ def spring_between(force: BetweenPoints, parent: NodeFrame, child: NodeFrame) ->
 
 def load_at(force: AtPoint, base: NodeFrame, child: NodeFrame) -> GivenLoad:
     """The element of a described force or moment at a point."""
-    moment = isinstance(force, PointMoment)
-    given = force.value
-    value: TimeVector
-    if callable(force.value):
-        value = FunctionVector(function=given, times=tuple(force.breakpoints))
-    elif force.times is not None:
-        value = TableVector(values=jnp.asarray(given, jnp.float64).T, times=tuple(force.times))
-    else:
-        value = ConstantVector(values=jnp.asarray(given, jnp.float64))
-    return GivenLoad(base, child, value, force.axes == "link", moment)
+    value = time_vector(force, force.value)
+    return GivenLoad(base, child, value, force.axes == "link", isinstance(force, PointMoment))
+
+
+def time_vector(force: LoadOnLink, given: Any) -> TimeVector:
+    """What is given of a load, a vector, a table or a function, as a function of time."""
+    if force.changes and force.times is None:
+        return FunctionVector(function=given, times=tuple(force.breakpoints))
+    if force.times is not None:
+        return TableVector(values=jnp.asarray(given, jnp.float64).T, times=tuple(force.times))
+    return ConstantVector(values=jnp.asarray(given, jnp.float64))

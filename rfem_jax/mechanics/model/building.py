@@ -14,11 +14,12 @@ from jax import Array
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.basics.joint_kinds import KINDS, JointKind, compliant
 from rfem_jax.description.basics.numbers import Number, array_of, rotation_of_angles, traced
+from rfem_jax.description.mechanism.distributed_forces import DistributedForce
 from rfem_jax.description.mechanism.forces import JointForce, JointFriction
 from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.links import Link
 from rfem_jax.description.mechanism.mechanism import EQUILIBRIUM, Mechanism
-from rfem_jax.description.mechanism.point_forces import AtPoint, BetweenPoints, PointLoad
+from rfem_jax.description.mechanism.point_forces import AtPoint, BetweenPoints
 from rfem_jax.description.parameters.parts import Parts, parts_of
 from rfem_jax.mechanics.laws.bearings import bearing_capacities
 from rfem_jax.mechanics.laws.clearances import clearance_name, pin_in_bush
@@ -26,6 +27,7 @@ from rfem_jax.mechanics.laws.frame_forces import FrameForce, NodeFrame
 from rfem_jax.mechanics.laws.friction_laws import Friction, friction_law
 from rfem_jax.mechanics.laws.joint_laws import JointLaw, joint_law
 from rfem_jax.mechanics.laws.joint_springs import CompliantSpring, compliant_spring
+from rfem_jax.mechanics.laws.line_loads import LineLoad, line_load
 from rfem_jax.mechanics.laws.point_laws import load_at, spring_between
 from rfem_jax.mechanics.model.model import BASE, CarriedPoint, Model, Sections, Topology, rfe_fractions
 from rfem_jax.mechanics.model.orientations import quaternion_of_angles
@@ -124,6 +126,7 @@ def arrays_of(parts: Parts, structure: PartStructure) -> Model:
         start_rates=_start_rates(joints[: len(links)], topology),
         reaction_length=_reaction_length(parts) if topology.minimum_norm else None,
         points=_carried_points(parts, topology, links, points) or None,
+        line_loads=_line_loads(parts, topology) or None,
     )
     return _with_clearances(model, joints) if topology.clearances else model
 
@@ -244,7 +247,7 @@ def _frame_forces(parts: Parts, topology: Topology, links: Sequence[Link], point
     nodes, unit = dict(points), jnp.eye(3)
     base = NodeFrame(BASE, unit, jnp.zeros(3))
     for force in parts.forces:
-        if not isinstance(force, PointLoad):
+        if not isinstance(force, AtPoint | BetweenPoints):
             continue
         frames = []
         for node, (_, place) in zip(nodes[force.name], force.ends(), strict=True):
@@ -253,9 +256,14 @@ def _frame_forces(parts: Parts, topology: Topology, links: Sequence[Link], point
         if isinstance(force, BetweenPoints):
             elements[force.name] = spring_between(force, *frames)
         else:
-            assert isinstance(force, AtPoint)
             elements[force.name] = load_at(force, base, frames[0])
     return elements
+
+
+def _line_loads(parts: Parts, topology: Topology) -> dict[str, LineLoad]:
+    """The forces along links, by their names."""
+    lines = [force for force in parts.forces if isinstance(force, DistributedForce)]
+    return {force.name: line_load(force, topology.links.index(force.link), parts.link(force.link)) for force in lines}
 
 
 def _carried_points(

@@ -36,6 +36,8 @@ from rfem_jax.mechanics.laws.frame_forces import FrameForce
 from rfem_jax.mechanics.laws.friction_laws import Friction
 from rfem_jax.mechanics.laws.joint_laws import JointLaw
 from rfem_jax.mechanics.laws.joint_springs import CompliantSpring
+from rfem_jax.mechanics.laws.line_loads import LineLoad
+from rfem_jax.mechanics.laws.point_laws import GivenLoad, TimeVector
 from rfem_jax.mechanics.model.sources import Source
 from rfem_jax.mechanics.model.summary import model_text
 
@@ -386,7 +388,7 @@ class Model(eqx.Module):
     which those of `Topology.rated` count, likewise; frame_forces: elements between frames on nodes, likewise; springs:
     of compliant joints, by the names of joint and direction as "A.radial", likewise; bearings: what they carry, by
     joint, likewise; reaction_length [m]: over which moments count in the norm of reactions, None unless the least are
-    asked for; points: whose paths are followed, by their names, None without any.
+    asked for; points: whose paths are followed, by their names, None without any; line_loads: along links, likewise.
 
     Numbers of the description change by a `rfem_jax.design`, from which all arrays follow.  `equinox.tree_at` may
     replace what is no number of a description and leaves the geometry as it is, such as the stiffnesses of one link of
@@ -417,11 +419,20 @@ class Model(eqx.Module):
     start_rates: Float[Array, " freedoms"] | None = None
     reaction_length: Float[Array, ""] | None = None
     points: dict[str, CarriedPoint] | None = None
+    line_loads: dict[str, LineLoad] | None = None
+
+    @property
+    def vectors_of_time(self) -> list[TimeVector]:
+        """The given loads at points and along links, as functions of time."""
+        at_points = [one.value for one in (self.frame_forces or {}).values() if isinstance(one, GivenLoad)]
+        along = [part for one in (self.line_loads or {}).values() for part in (one.first, one.last)]
+        return at_points + [part for part in along if part is not None]
 
     @property
     def own_names(self) -> tuple[str, ...]:
         """Names of all its things, which are no part of programs (`compilation.naming`)."""
-        forces = (name for part in (self.forces, self.friction, self.frame_forces) for name in part or {})
+        parts = self.forces, self.friction, self.frame_forces, self.line_loads
+        forces = (name for part in parts for name in part or {})
         others = () if self.source is None else self.source.own_names
         forces = (one.partition(".")[0] for one in forces)
         return (*self.topology.joints, *self.topology.links, *forces, *(self.points or {}), *others)

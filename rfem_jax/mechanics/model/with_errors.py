@@ -17,12 +17,22 @@ from jaxtyping import Float, Int
 from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.algebra import vectors
 from rfem_jax.mechanics.laws.clearances import clearance_name
-from rfem_jax.mechanics.laws.frame_forces import FrameForceSet, NodeFrame
+from rfem_jax.mechanics.laws.frame_forces import FrameForce, NodeFrame
 from rfem_jax.mechanics.laws.friction_laws import Friction
 from rfem_jax.mechanics.laws.joint_laws import JointLaws
 from rfem_jax.mechanics.laws.joint_springs import CompliantSpring
+from rfem_jax.mechanics.laws.line_loads import LineLoad
 from rfem_jax.mechanics.model.errors import AssemblyErrors, possible_errors
 from rfem_jax.mechanics.model.model import BASE, CarriedPoint, Model, Topology, rfe_fractions
+
+
+class FrameForceSet(eqx.Module):
+    """All force elements of a mechanism, by their names; share: of their full wrenches, for load steps; lines: loads
+    along links, which have their share likewise, None without any."""
+
+    elements: dict[str, FrameForce]
+    share: Float[Array, ""]
+    lines: dict[str, LineLoad] | None = None
 
 
 class ModelWithErrors(eqx.Module):
@@ -137,18 +147,29 @@ def _frame_forces(
 ) -> FrameForceSet | None:
     """The force elements, whose frames lie on links that are `scale` times as long, or are those of joints: rotations
     (3, 3, joints) and positions (3, joints) on both `sides`."""
-    if model.frame_forces is None:
+    if model.frame_forces is None and model.line_loads is None:
         return None
     elements, topology = {}, model.topology
     at_joints = {clearance_name(topology.joints[j]): j for j in topology.clearances}
-    for name, element in model.frame_forces.items():
+    for name, element in (model.frame_forces or {}).items():
         if name in at_joints:
             j, ends = at_joints[name], (element.parent, element.child)
             frames = [NodeFrame(end.node, side[0][:, :, j], side[1][:, j]) for end, side in zip(ends, sides)]
         else:
             frames = [_scaled_frame(topology, frame, scale) for frame in (element.parent, element.child)]
         elements[name] = eqx.tree_at(lambda one: (one.parent, one.child), element, tuple(frames))
-    return FrameForceSet(elements, jnp.ones(()))
+    return FrameForceSet(elements, jnp.ones(()), _line_loads(model, scale))
+
+
+def _line_loads(model: Model, scale: Array) -> dict[str, LineLoad] | None:
+    """The loads along links that became `scale` times as long."""
+    if model.line_loads is None:
+        return None
+    stretched = {}
+    for name, line in model.line_loads.items():
+        ends = line.begin * scale[line.link], line.end * scale[line.link]
+        stretched[name] = eqx.tree_at(lambda one: (one.begin, one.end), line, ends)
+    return stretched
 
 
 def _scaled_frame(topology: Topology, frame: NodeFrame, scale: Array) -> NodeFrame:

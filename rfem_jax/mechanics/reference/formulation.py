@@ -29,7 +29,7 @@ from rfem_jax.mechanics.laws.frame_forces import START, NodeFrame, Pose
 from rfem_jax.mechanics.laws.joint_laws import SpringLaw
 from rfem_jax.mechanics.laws.joint_springs import CompliantSpring
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation
-from rfem_jax.mechanics.model.model import BASE, Coordinates, State, Topology
+from rfem_jax.mechanics.model.model import BASE, Coordinates, State, Topology, rfe_fractions
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 NOT_MOVED: Any = np.eye(4)  # the transform of the base
@@ -312,7 +312,35 @@ def _element_forces(
         wrench = element.wrench(pose, START if drive.time is None else drive.time)
         force, moment = (forces.share * part for part in wrench)
         total = total + force @ shifts + moment @ turns
+    for node, place, force in _line_forces(actual, drive, frames):
+        total = total + force @ (derivatives[node, :3, :3].transpose(2, 0, 1) @ place + derivatives[node, :3, 3].T).T
     return total
+
+
+def _line_forces(actual: ModelWithErrors, drive: DriveInput, frames: Array) -> list[tuple[int, Array, Array]]:
+    """Loads along links as forces at points: node, place in its frame [m], force [N] in global axes; at the two points
+    of Gauss of each loaded piece of an rfe, which integrate the work of linear loads exactly."""
+    topology, forces, found = actual.topology, actual.frame_forces, []
+    if forces is None:
+        return found
+    for line in (forces.lines or {}).values():
+        first, last = (forces.share * line.at(START if drive.time is None else drive.time)).T
+        first_rfe = topology.n_links + topology.ranges[line.link][0]
+        # Ends of the rfes: the start, the spring-damping elements, the end.
+        shares, middles = rfe_fractions(topology.elements[line.link])
+        length = actual.beam_middle[line.link] / middles[0]
+        edge = jnp.zeros(())
+        for i, share in enumerate(shares):
+            node = line.link if i == 0 else first_rfe + i - 1
+            low, high = (jnp.clip(x, line.begin, line.end) for x in (edge, edge + share * length))
+            edge = edge + share * length
+            for at in (0.5 - np.sqrt(1.0 / 12.0), 0.5 + np.sqrt(1.0 / 12.0)):
+                x = low + at * (high - low)
+                along = (x - line.begin) / (line.end - line.begin)
+                force = 0.5 * (high - low) * ((1.0 - along) * first + along * last)
+                place = jnp.stack([x - (0.0 if i == 0 else middles[i] * length), *jnp.zeros(2)])
+                found.append((node, place, frames[node, :3, :3] @ force if line.turning else force))
+    return found
 
 
 def element_wrenches(
@@ -336,6 +364,9 @@ def element_wrenches(
         force, moment = (forces.share * parent[:3, :3] @ part for part in wrench)
         at_origin = jnp.concatenate([moment + jnp.cross(child[:3, 3], force), force])
         wrenches += [(element.child.node, at_origin), (element.parent.node, -at_origin)]
+    for node, place, force in _line_forces(actual, drive, frames):
+        point = frames[node, :3, :3] @ place + frames[node, :3, 3]
+        wrenches.append((node, jnp.concatenate([jnp.cross(point, force), force])))
     return wrenches
 
 

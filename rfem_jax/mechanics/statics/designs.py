@@ -28,6 +28,7 @@ from rfem_jax.compilation.program import Program
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.basics.numbers import ANY, POSITIVE, SIGN_WORDS
 from rfem_jax.description.drives.numbers_by_name import read_drive_number
+from rfem_jax.description.mechanism.distributed_forces import DistributedForce
 from rfem_jax.description.mechanism.sections import Tube
 from rfem_jax.description.parameters.parameters import Parameter, require_each_once
 from rfem_jax.description.parameters.parts import Parts
@@ -40,6 +41,7 @@ from rfem_jax.mechanics.model.sources import NOTHING, Blueprint, Source
 from rfem_jax.mechanics.model.status import DESIGN_OUT_OF_RANGE, NOT_CLOSED, OK, STATUS
 from rfem_jax.mechanics.statics.start_closure import close_start
 
+ROUNDING = 1e-12  # of a link's length: a load along it may end beyond it by so much
 LONGEST_ARM = 0.5  # of a segment between two spring-damping elements
 
 
@@ -280,6 +282,10 @@ def _possible(parts: Parts, numbers: list[tuple[Parameter, Array]]) -> Bool[Arra
     for one, value in numbers:
         right = value > 0.0 if one.sign == POSITIVE else value >= 0.0
         good = good & jnp.isfinite(value) & (True if one.sign == ANY else right)
+    for force in parts.forces:
+        if isinstance(force, DistributedForce):
+            begin, end = force.along(link := parts.link(force.link))
+            good = good & (jnp.asarray(begin) >= 0.0) & (begin < end) & (end <= link.length * (1.0 + ROUNDING))
     for link in parts.links:
         if isinstance(link.section, Tube):
             good = good & (jnp.asarray(link.section.inner_diameter) > 0.0)

@@ -4,7 +4,8 @@ Place in the pipeline: runs and their model -> **acting** -> animation.
 
 Forces at points are described by their name, kind ("spring" between two points, "force", "moment") and the links that
 they act on, and have arrays over time: force_first, force_place [m], the points, and force_value [N, N m], what acts at
-the second one. A spring or a law in a joint of the tree has its name, the joint and the motion that it acts along.
+the second one. Of a load along a link this is all of its force, at the middle of the loaded piece. A spring or a law in
+a joint of the tree has its name, the joint and the motion that it acts along.
 """
 
 from typing import Any
@@ -26,9 +27,12 @@ def describe_acting(run: Run) -> dict[str, Any]:
     """{"forces": at points, in the order of `run.forces`; "laws": in joints} of a run that has a model."""
     model = run.model
     assert model is not None, "it is asked of such runs"
-    topology, elements = model.topology, model.frame_forces or {}
+    topology, elements, lines = model.topology, model.frame_forces or {}, model.line_loads or {}
     forces = []
     for name in run.forces:
+        if name in lines:
+            forces.append({"name": name, "kind": "force", "links": [topology.links[lines[name].link]]})
+            continue
         element = elements[name]
         given = isinstance(element, GivenLoad)
         sides = [owner_of(topology, side.node) for side in (element.parent, element.child)]
