@@ -12,7 +12,8 @@ of all the forces at points in global axes: `coil_length_m`, `coil_tension_N` of
 `twist_moment_x_Nm` ... of others; of points whose paths are followed `P_x_m`, `P_velocity_x_m_s`,
 `P_acceleration_x_m_s2` and `P_angle_x_rad` ...; and the energy that every friction has dissipated,
 `bearing_dissipation_J`; of joints with clearance `D_penetration_start_m`, `..._end_m`, `..._axial_m` (below zero a
-gap) and `D_contact_force_start_N` ...
+gap) and `D_contact_force_start_N` ...; where the study asks for it, what the mechanism exerts on its base,
+`shaking_force_x_N` ... `shaking_moment_z_Nm` in global axes
 """
 
 from collections.abc import Mapping
@@ -25,6 +26,7 @@ from rfem_jax.compilation.keeping import state
 from rfem_jax.description.basics.joint_kinds import KINDS
 from rfem_jax.description.mechanism.point_forces import AtPoint
 from rfem_jax.description.metrics.catalogue import notes_on, unit_of
+from rfem_jax.description.metrics.shaking_metrics import RECORD
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.mechanics.forces.bush_contacts import CONTACT_NAMES, ContactState
 from rfem_jax.mechanics.model.discretisation import start_held
@@ -87,7 +89,7 @@ def history_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " tim
     losses |= {column_name(f"{joint}_contact_loss", "J"): np.asarray(x) for joint, x in run.contact_losses.items()}
     return (
         columns | _coordinate_columns(study, run) | _point_columns(study, run) | path_columns(run) | losses
-        | contact_columns(run.contacts)
+        | contact_columns(run.contacts) | shaking_columns(run)
     )  # fmt: skip
 
 
@@ -142,6 +144,16 @@ def contact_columns(states: Mapping[str, ContactState]) -> dict[str, Float[np.nd
         ):
             for name, one in zip(CONTACT_NAMES, np.asarray(values).T, strict=True):
                 columns[column_name(f"{joint}_{what}_{name}", unit)] = one
+    return columns
+
+
+def shaking_columns(run: Run) -> dict[str, Float[np.ndarray, " times"]]:
+    """Force of the mechanism on its base and its moment, where the run has them, in global axes."""
+    columns = {}
+    if RECORD in run.recorded:
+        for load, unit in (("force", "N"), ("moment", "N m")):
+            for letter, values in zip("xyz", np.asarray(getattr(run.recorded[RECORD], load)).T, strict=True):
+                columns[column_name(f"{RECORD}_{load}_{letter}", unit)] = values
     return columns
 
 

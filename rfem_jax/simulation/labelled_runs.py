@@ -17,6 +17,7 @@ import numpy as np
 
 from rfem_jax import rich_text
 from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.metrics.shaking_metrics import RECORD
 from rfem_jax.labelled_data import COMPONENTS, DataFrame, Dataset, Labelled, column_name, dataset, frame
 from rfem_jax.mechanics.forces.bush_contacts import CONTACT_NAMES
 from rfem_jax.mechanics.model.status import STATUS
@@ -69,6 +70,7 @@ def run_dataset(run: Run, cases: Sequence[str] | None = None) -> Dataset:
     _add_points(variables, coordinates, run, before)
     _add_paths(variables, coordinates, run, before)
     _add_contacts(variables, coordinates, run, before)
+    _add_shaking(variables, run, before)
     _add_lines(variables, coordinates, run, before)
     for one in (*CHECKS, HINGE_MOMENT_ERROR):
         variables[one.name] = _labelled(one, before, getattr(run.checks, one.name))
@@ -219,6 +221,17 @@ def _add_contacts(variables, coordinates, run, before) -> None:
     if run.contact_changes is not None:
         meaning = "how often contacts have closed or opened"
         variables["contact_changes"] = Labelled(before, run.contact_changes, "1", meaning)
+
+
+def _add_shaking(variables, run, before) -> None:
+    """Force of the mechanism on its base and its moment, where they are recorded."""
+    if RECORD not in run.recorded:
+        return
+    recorded, dims = run.recorded[RECORD], (*before, "time", "component")
+    for load, unit in (("force", "N"), ("moment", "N m")):
+        about = "" if load == "force" else ", about `shaking_point`"
+        meaning = f"{load} of the mechanism on its base{about}, global axes"
+        variables[f"{RECORD}_{load}"] = Labelled(dims, getattr(recorded, load), unit, meaning)
 
 
 def _add_lines(variables, coordinates, run, before) -> None:

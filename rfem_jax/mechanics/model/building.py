@@ -124,6 +124,7 @@ def arrays_of(parts: Parts, structure: PartStructure) -> Model:
         start_rates=_start_rates(joints[: len(links)], topology),
         reaction_length=_reaction_length(parts) if topology.minimum_norm else None,
         points=_carried_points(parts, topology, links, points) or None,
+        shaking_point=None if parts.shaking_point is None else _array(parts.shaking_point),
     )
     return _with_clearances(model, joints) if topology.clearances else model
 

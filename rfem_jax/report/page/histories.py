@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from rfem_jax.description.metrics.shaking_metrics import RECORD
 from rfem_jax.report.page.packing import pack_floats, some_rows
 from rfem_jax.simulation.quantities import ENERGIES
 
@@ -61,6 +62,12 @@ def quantities_of(names: Sequence[str], joints: Sequence[str]) -> list[dict[str,
                 used |= set(columns)
                 one = {"label": f"{load} in {joint}", "group": f"Joint {joint}", "unit": unit, "joint": joint}
                 found.append({**one, "load": load.lower(), "columns": columns, "parts": list("xyz")})
+    for load, unit, suffix in (("force", "N", "N"), ("moment", "N m", "Nm")):
+        columns = [f"{RECORD}_{load}_{axis}_{suffix}" for axis in "xyz"]
+        if used.isdisjoint(columns) and set(columns) <= set(names):
+            used |= set(columns)
+            one = {"label": f"Shaking {load}", "group": "Base", "unit": unit, "columns": columns, "parts": list("xyz")}
+            found.append(one)
     labels = {one.name: one.label for one in ENERGIES}
     for name in names:
         if name in used:
