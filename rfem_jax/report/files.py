@@ -13,7 +13,8 @@ of all the forces at points in global axes: `coil_length_m`, `coil_tension_N` of
 `P_acceleration_x_m_s2` and `P_angle_x_rad` ...; and the energy that every friction has dissipated,
 `bearing_dissipation_J`; of joints with clearance `D_penetration_start_m`, `..._end_m`, `..._axial_m` (below zero a
 gap) and `D_contact_force_start_N` ...; where the study asks for it, what the mechanism exerts on its base,
-`shaking_force_x_N` ... `shaking_moment_z_Nm` in global axes
+`shaking_force_x_N` ... `shaking_moment_z_Nm` in global axes; and with `--axes` the loads of all joints in other axes,
+`A_force_global_x_N` ...
 """
 
 from collections.abc import Mapping
@@ -30,6 +31,7 @@ from rfem_jax.description.metrics.shaking_metrics import RECORD
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.mechanics.forces.bush_contacts import CONTACT_NAMES, ContactState
 from rfem_jax.mechanics.model.discretisation import start_held
+from rfem_jax.mechanics.statics.assembly import Load
 from rfem_jax.report.annotations import Run, StartHeld, Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities
 from rfem_jax.report.output import csv_cell, write_json
@@ -179,9 +181,21 @@ def _coordinate_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, "
     return columns
 
 
-def write_history(path: str | Path, study: Study, run: Run) -> Path:
-    """Write the time histories of one run as CSV (12 digits, one row per saved time)."""
+def axes_columns(study: Study, loads: Mapping[str, Load], axes: str) -> dict[str, Float[np.ndarray, " times"]]:
+    """Loads of all joints in axes that the names of the columns say."""
+    columns = {}
+    for name in joint_names(study):
+        for load, unit in (("force", "N"), ("moment", "N m")):
+            for letter, values in zip("xyz", np.asarray(getattr(loads[name], load)).T, strict=True):
+                columns[column_name(f"{name}_{load}_{axes}_{letter}", unit)] = values
+    return columns
+
+
+def write_history(path: str | Path, study: Study, run: Run, axes: str = "joint") -> Path:
+    """Write the time histories of one run as CSV (12 digits, one row per saved time); `axes`: as of `write_files`."""
     columns = history_columns(study, run)
+    if axes != "joint":
+        columns |= axes_columns(study, run.loads_in(axes), axes)
     table = np.stack(list(columns.values()), axis=1)
     with replacing(path) as temporary:
         header = ",".join(map(csv_cell, columns))
@@ -195,11 +209,12 @@ def write_files(
     runs: Mapping[str, Run],
     summaries: Summaries,
     start: StartHeld | None = None,
+    axes: str = "joint",
 ) -> list[Path]:
-    """Write `results.json`, with what the `start` held, and `<case>.csv` of every case into `folder`; returns their
-    paths."""
+    """Write `results.json`, with what the `start` held, and `<case>.csv` of every case into `folder`, with the loads in
+    further `axes` (`Run.loads_in`) besides; returns their paths."""
     folder = Path(folder)
     written = [write_results(folder / "results.json", study, summaries, start)]
     for case in study.cases:
-        written.append(write_history(folder / f"{case.name}.csv", study, runs[case.name]))
+        written.append(write_history(folder / f"{case.name}.csv", study, runs[case.name], axes))
     return written

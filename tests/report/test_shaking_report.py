@@ -26,7 +26,7 @@ def folder(tmp_path_factory):
     path.write_text(SHAKEN, encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(command_line, "set_up_jax", lambda *_: None)
-        assert main(["run", str(path), "--out", str(path.parent / "out")]) == 0
+        assert main(["run", str(path), "--out", str(path.parent / "out"), "--axes", "global"]) == 0
     return path.parent / "out"
 
 
@@ -45,6 +45,36 @@ def test_files_have_it_and_its_metrics(folder):
     assert tuple(metrics) == REPORTED
     for kind in ("rms", "max"):
         assert_allclose(metrics[f"{kind}_shaking_force"], pull(LENGTH + 1e-3), rtol=1e-8)
+
+
+def test_axes_add_columns_and_components(folder):
+    with open(folder / "perfect.csv", encoding="utf-8") as file:
+        names = file.readline().rstrip("\n").split(",")
+    assert names[-6:] == [f"A_{load}_global_{axis}_{unit}" for load, unit in (("force", "N"), ("moment", "Nm"))
+                          for axis in "xyz"]  # fmt: skip
+    table = np.genfromtxt(folder / "perfect.csv", delimiter=",", names=True)
+    for axis in "xyz":  # what the base exerts on the hand
+        assert_allclose(table[f"A_force_global_{axis}_N"], -table[f"shaking_force_{axis}_N"], atol=1e-9)
+    (row,) = json.loads((folder / "results.json").read_text(encoding="utf-8"))["cases"]["perfect"]["joints"].values()
+    assert row["in_axes"]["axes"] == "global" and len(row["in_axes"]["preload_force"]) == 3
+    squares = np.square(row["in_axes"]["rms_components"]["force"])
+    assert_allclose(np.sum(squares), row["rms_force"] ** 2, rtol=1e-9)
+    assert min(squares[0], squares[2]) > 0.1 * squares.sum() > row["rms_components"]["force"][2] ** 2
+    packed = pack_histories({"perfect": read_table(folder / "perfect.csv")}, ["A"])
+    assert packed is not None
+    assert {"Force in A, global axes", "Moment in A, global axes"} <= {one["label"] for one in packed["quantities"]}
+
+
+def test_cycles_and_turns_have_them_too(folder):
+    study, cycle, turn = folder.parent / "study.toml", folder.parent / "cycle", folder.parent / "turn"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(command_line, "set_up_jax", lambda *_: None)
+        assert main(["cycle", str(study), "--out", str(cycle), "--axes", "child"]) == 0
+        assert main(["turn", str(study), "--out", str(turn), "--axes", "child", "--positions", "4"]) == 0
+    table = np.genfromtxt(cycle / "perfect.csv", delimiter=",", names=True)
+    assert_allclose(table["A_force_child_x_N"], -pull(LENGTH), rtol=1e-8)
+    rows = np.genfromtxt(turn / "turn.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+    assert_allclose(rows["A_force_child_x_N"], 0.0, atol=1e-9)
 
 
 def test_the_page_has_curves_of_it_with_three_components(folder):

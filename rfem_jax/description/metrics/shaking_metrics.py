@@ -3,7 +3,7 @@
 Place in the pipeline: metric_catalogue -> **shaking_metrics**, which registers them when the package is imported.
 
 They read the record `shaking`, which runs have for them alone. The moment is about `shaking_point` of the mechanism.
-Source: theory (8.26), (8.27).
+Source: theory (8.27), (8.28).
 """
 
 from collections.abc import Callable, Iterable
@@ -41,11 +41,11 @@ def _add(name: str, unit: str, label: str, function: Callable[[Any], Array], des
 def _register(load: str, unit: str, squared: str, words: str) -> None:
     name, of = f"shaking_{load}", f"the {words}"
     _add(f"mean_square_{name}", squared, f"mean square shaking {load}", lambda run: _mean_square(run, load),
-         f"mean square over time of {of}", equation="(8.27)")  # fmt: skip
+         f"mean square over time of {of}", equation="(8.28)")  # fmt: skip
     _add(f"rms_{name}", unit, f"RMS shaking {load}", lambda run: power_of(_mean_square(run, load), 1, 2),
-         f"root of the mean square over time of {of}", equation="(8.27)")  # fmt: skip
+         f"root of the mean square over time of {of}", equation="(8.28)")  # fmt: skip
     _add(f"max_{name}", unit, f"largest shaking {load}", lambda run: power_of(jnp.max(_squares(run, load)), 1, 2),
-         f"largest saved size of {of}", kinked=True, note=OF_SAVED, equation="(8.27)")  # fmt: skip
+         f"largest saved size of {of}", kinked=True, note=OF_SAVED, equation="(8.28)")  # fmt: skip
     _add(f"peak_{name}", unit, f"16-norm of the shaking {load}, below its maximum",
          lambda run: p_norm(getattr(run.recorded[RECORD], load)), f"{BELOW}, of {of}",
          note=f"{BELOW}, which is `max_{name}`", equation="(8.7)")  # fmt: skip

@@ -2,7 +2,7 @@
 
 Place in the pipeline: loads, force elements -> **base loads** -> simulation.
 
-Source: theory (8.26).
+Source: theory (8.27).
 """
 
 from collections.abc import Mapping
