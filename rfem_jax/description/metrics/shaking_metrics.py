@@ -16,9 +16,9 @@ from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.mechanism.mechanism import Mechanism
 from rfem_jax.description.metrics.catalogue import BELOW, MetricKind, add_metric, p_norm, records_for
 from rfem_jax.description.metrics.design_metrics import integral, power_of
-from rfem_jax.description.metrics.path_metrics import OF_SAVED
 
 RECORD = "shaking"
+OF_SAVED = "of the saved times, too small where these are few: see `save_every`"
 # Of a mechanism with `shaking_point` in a study that asks for no metric of these.
 REPORTED = ("rms_shaking_force", "max_shaking_force", "rms_shaking_moment", "max_shaking_moment")
 
