@@ -12,7 +12,9 @@ of all the forces at points in global axes: `coil_length_m`, `coil_tension_N` of
 `twist_moment_x_Nm` ... of others; of points whose paths are followed `P_x_m`, `P_velocity_x_m_s`,
 `P_acceleration_x_m_s2` and `P_angle_x_rad` ...; and the energy that every friction has dissipated,
 `bearing_dissipation_J`; of joints with clearance `D_penetration_start_m`, `..._end_m`, `..._axial_m` (below zero a
-gap) and `D_contact_force_start_N` ...
+gap) and `D_contact_force_start_N` ...; where the study asks for it, what the mechanism exerts on its base,
+`shaking_force_x_N` ... `shaking_moment_z_Nm` in global axes; and with `--axes` the loads of all joints in other axes,
+`A_force_global_x_N` ...
 """
 
 from collections.abc import Mapping
@@ -25,9 +27,11 @@ from rfem_jax.compilation.keeping import state
 from rfem_jax.description.basics.joint_kinds import KINDS
 from rfem_jax.description.mechanism.point_forces import LoadOnLink
 from rfem_jax.description.metrics.catalogue import notes_on, unit_of
+from rfem_jax.description.metrics.shaking_metrics import RECORD
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.mechanics.forces.bush_contacts import CONTACT_NAMES, ContactState
 from rfem_jax.mechanics.model.discretisation import start_held
+from rfem_jax.mechanics.statics.assembly import Load
 from rfem_jax.report.annotations import Run, StartHeld, Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities
 from rfem_jax.report.output import csv_cell, write_json
@@ -87,7 +91,7 @@ def history_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " tim
     losses |= {column_name(f"{joint}_contact_loss", "J"): np.asarray(x) for joint, x in run.contact_losses.items()}
     return (
         columns | _coordinate_columns(study, run) | _point_columns(study, run) | path_columns(run) | losses
-        | contact_columns(run.contacts)
+        | contact_columns(run.contacts) | shaking_columns(run)
     )  # fmt: skip
 
 
@@ -145,6 +149,16 @@ def contact_columns(states: Mapping[str, ContactState]) -> dict[str, Float[np.nd
     return columns
 
 
+def shaking_columns(run: Run) -> dict[str, Float[np.ndarray, " times"]]:
+    """Force of the mechanism on its base and its moment, where the run has them, in global axes."""
+    columns = {}
+    if RECORD in run.recorded:
+        for load, unit in (("force", "N"), ("moment", "N m")):
+            for letter, values in zip("xyz", np.asarray(getattr(run.recorded[RECORD], load)).T, strict=True):
+                columns[column_name(f"{RECORD}_{load}_{letter}", unit)] = values
+    return columns
+
+
 def _coordinate_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " times"]]:
     """Coordinates of the tree joints, numbered where a joint has several of one dimension, but that of a hinge which
     the first drive turns."""
@@ -167,9 +181,21 @@ def _coordinate_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, "
     return columns
 
 
-def write_history(path: str | Path, study: Study, run: Run) -> Path:
-    """Write the time histories of one run as CSV (12 digits, one row per saved time)."""
+def axes_columns(study: Study, loads: Mapping[str, Load], axes: str) -> dict[str, Float[np.ndarray, " times"]]:
+    """Loads of all joints in axes that the names of the columns say."""
+    columns = {}
+    for name in joint_names(study):
+        for load, unit in (("force", "N"), ("moment", "N m")):
+            for letter, values in zip("xyz", np.asarray(getattr(loads[name], load)).T, strict=True):
+                columns[column_name(f"{name}_{load}_{axes}_{letter}", unit)] = values
+    return columns
+
+
+def write_history(path: str | Path, study: Study, run: Run, axes: str = "joint") -> Path:
+    """Write the time histories of one run as CSV (12 digits, one row per saved time); `axes`: as of `write_files`."""
     columns = history_columns(study, run)
+    if axes != "joint":
+        columns |= axes_columns(study, run.loads_in(axes), axes)
     table = np.stack(list(columns.values()), axis=1)
     with replacing(path) as temporary:
         header = ",".join(map(csv_cell, columns))
@@ -183,11 +209,12 @@ def write_files(
     runs: Mapping[str, Run],
     summaries: Summaries,
     start: StartHeld | None = None,
+    axes: str = "joint",
 ) -> list[Path]:
-    """Write `results.json`, with what the `start` held, and `<case>.csv` of every case into `folder`; returns their
-    paths."""
+    """Write `results.json`, with what the `start` held, and `<case>.csv` of every case into `folder`, with the loads in
+    further `axes` (`Run.loads_in`) besides; returns their paths."""
     folder = Path(folder)
     written = [write_results(folder / "results.json", study, summaries, start)]
     for case in study.cases:
-        written.append(write_history(folder / f"{case.name}.csv", study, runs[case.name]))
+        written.append(write_history(folder / f"{case.name}.csv", study, runs[case.name], axes))
     return written

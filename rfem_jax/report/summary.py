@@ -17,6 +17,7 @@ from rfem_jax.description.metrics.catalogue import metric_of
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.mechanics.forces.bush_contacts import CLOSED, CONTACT_NAMES, ContactState, carrying
 from rfem_jax.mechanics.model.status import STATUS
+from rfem_jax.mechanics.statics.assembly import Load
 from rfem_jax.report.annotations import Run, Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
 from rfem_jax.simulation.quantities import (
@@ -64,7 +65,7 @@ def summarise_run(study: Study, run: Run) -> dict[str, Any]:
     for name in joint_names(study):
         row: dict[str, Any] = {"kind": study.mechanism.joint(name).kind}
         row |= {q.name: float(getattr(run.metrics, q.name)[name]) for q in JOINT_METRICS}
-        row[RMS_COMPONENTS] = _rms_components(run, name)
+        row[RMS_COMPONENTS] = _rms_components(run, run.loads[name], name)
         row["preload_force"] = [float(v) for v in np.asarray(run.preload[name].force)]
         row["preload_moment"] = [float(v) for v in np.asarray(run.preload[name].moment)]
         joints[name] = row
@@ -112,15 +113,23 @@ def _driven_joints(study: Study, run: Run) -> list[dict[str, Any]]:
     return found
 
 
-def _rms_components(run: Run, name: str) -> dict[str, list[float]]:
-    """RMS of the x, y and z of force and moment in the joint's frame H; their squares add up to that of the RMS load.
+def _add_axes(joints: dict[str, dict[str, Any]], run: Run, axes: str) -> None:
+    """Put the components of loads in further axes into the rows of the joints."""
+    loads, preload = run.loads_in(axes), run.preload_in(axes)
+    for name, row in joints.items():
+        at_start = {f"preload_{part}": np.asarray(getattr(preload[name], part)).tolist() for part in Load._fields}
+        row["in_axes"] = {"axes": axes, RMS_COMPONENTS: _rms_components(run, loads[name], name), **at_start}
+
+
+def _rms_components(run: Run, loads: Load, name: str) -> dict[str, list[float]]:
+    """RMS of the x, y and z of force and moment of a joint's loads; their squares add up to that of the RMS load.
 
     The mean square is that of the whole run, its shares are those of the saved times.
     """
     found = {}
     for load in ("force", "moment"):
         with np.errstate(invalid="ignore"):  # of a failed run
-            squares = np.trapezoid(np.asarray(getattr(run.loads[name], load)) ** 2, np.asarray(run.times), axis=0)
+            squares = np.trapezoid(np.asarray(getattr(loads, load)) ** 2, np.asarray(run.times), axis=0)
             total = float(np.sum(squares))
             shares = squares / total if total != 0.0 else np.zeros(3)
         found[load] = [float(v) for v in float(getattr(run.metrics, f"rms_{load}")[name]) * np.sqrt(shares)]
@@ -145,13 +154,16 @@ def branches(run: Run) -> dict[str, dict[str, int]]:
     return found
 
 
-def summarise(study: Study, runs: Mapping[str, Run], statuses: Mapping[str, tuple[str, str]]) -> Summaries:
+def summarise(
+    study: Study, runs: Mapping[str, Run], statuses: Mapping[str, tuple[str, str]], axes: str = "joint"
+) -> Summaries:
     """Summary of every case.
 
     Arguments:
         study: the study as loaded (`.cases`, `.mechanism`, `.drive`).
         runs: {case name: run of NumPy arrays}.
         statuses: {case name: (short name, full message)}; the short name of success is "ok".
+        axes: further ones for components of loads (`Run.loads_in`).
 
     Returns {case name: {"status", "message", "remarks" (a list), "errors", "joints", "driven_joint", balances}}, with
     "drives" where several drives act or one on a translation, in the order of the study; numbers are floats in SI
@@ -167,6 +179,8 @@ def summarise(study: Study, runs: Mapping[str, Run], statuses: Mapping[str, tupl
             "errors": {name: float(value) for name, value in case.errors.items()},
             **summarise_run(study, runs[case.name]),
         }
+        if axes != "joint":
+            _add_axes(summaries[case.name]["joints"], runs[case.name], axes)
     return summaries
 
 

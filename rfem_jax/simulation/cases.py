@@ -40,10 +40,10 @@ PIECES = 20
 class Runs(dict[str, Run]):
     """The runs of a study by case, with what shows and hands on all of them."""
 
-    def to_xarray(self) -> Dataset:
-        """An `xarray.Dataset` as `Run.to_xarray` makes it, with the dimension `case`."""
+    def to_xarray(self, axes: str = "joint") -> Dataset:
+        """An `xarray.Dataset` as `Run.to_xarray` makes it, with the dimension `case`; `axes`: as there."""
         stacked = jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *self.values())
-        return labelled_runs.run_dataset(stacked, tuple(self))
+        return labelled_runs.run_dataset(stacked, tuple(self), axes)
 
     def to_pandas(self) -> DataFrame:
         """A `pandas.DataFrame` with a row per case and joint: metrics and preload."""

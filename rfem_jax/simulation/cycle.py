@@ -31,7 +31,7 @@ from rfem_jax.mechanics.model.errors import Errors, errors_of
 from rfem_jax.mechanics.model.model import Model, State, Topology
 from rfem_jax.mechanics.statics.designs import Design, designed
 from rfem_jax.simulation import integration
-from rfem_jax.simulation.conclusion import Conclusion, run_of, with_status
+from rfem_jax.simulation.conclusion import Conclusion, run_of_design
 from rfem_jax.simulation.driving import Drive, drive_of_design, require_driven
 from rfem_jax.simulation.records import PerfectPath, asks_perfect_path, require_records
 from rfem_jax.simulation.run import Run
@@ -100,8 +100,7 @@ def steady_cycle(
             break
         pairs = [*pairs, (before, after)][-MEMORY:]
         start = _state(start, _mixed(pairs))
-    run = with_status(run_of(model, conclusion), made)
-    return Cycle(run, start, float(residual), done, bool(residual <= tolerance), perfect)
+    return Cycle(run_of_design(made, conclusion), start, float(residual), done, bool(residual <= tolerance), perfect)
 
 
 def _perfect_paths(simulation: Simulation, tolerance: float, most: int) -> dict[str, PerfectPath]:
@@ -143,7 +142,7 @@ def cycle_run(
         )
     revolution = Integration(made.model, drive, grid, method, steps)
     conclusion = _periodic(revolution, made.errors, cycle.start, asked, cycle.perfect)
-    return with_status(run_of(made.model, conclusion), made)
+    return run_of_design(made, conclusion)
 
 
 @partial(Program, nameless=True)

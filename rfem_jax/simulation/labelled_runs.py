@@ -16,8 +16,10 @@ from typing import Any
 import numpy as np
 
 from rfem_jax import rich_text
-from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.basics.errors import InputError, require_choice
+from rfem_jax.description.metrics.shaking_metrics import RECORD
 from rfem_jax.labelled_data import COMPONENTS, DataFrame, Dataset, Labelled, column_name, dataset, frame
+from rfem_jax.mechanics.dynamics.load_axes import AXES
 from rfem_jax.mechanics.forces.bush_contacts import CONTACT_NAMES
 from rfem_jax.mechanics.model.status import STATUS
 from rfem_jax.simulation.quantities import (
@@ -38,37 +40,39 @@ def _labelled(quantity: Quantity, dims: tuple[str, ...], values: Any) -> Labelle
     return Labelled(dims, values, quantity.unit or "1", quantity.label, {"description": quantity.description})
 
 
-def run_dataset(run: Run, cases: Sequence[str] | None = None) -> Dataset:
+def run_dataset(run: Run, cases: Sequence[str] | None = None, axes: str = "joint") -> Dataset:
     """Everything that a run has, with named dimensions, units and long names.
 
-    Args: run, one or a batch with one leading axis; cases, the names along it (None: their numbers).
-    Raises: InputError for a batch with several axes.
+    Args: run, one or a batch with one leading axis; cases, the names along it (None: their numbers); axes of the loads,
+        as of `Run.loads_in`.
+    Raises: InputError for a batch with several axes, and as `Run.loads_in`.
     """
-    axes = np.ndim(run.status)
-    if axes > 1:
+    batch = np.ndim(run.status)
+    if batch > 1:
         raise InputError(
             f"A batch of runs must have one axis to be labelled, but has the shape {np.shape(run.status)}; flatten it."
         )
-    before = ("case",) * axes
+    before = ("case",) * batch
     joints = tuple(run.loads)
     times = np.asarray(run.times)
     coordinates: dict[str, Any] = {
         # All runs of a batch have the same saved times.
-        "time": Labelled(("time",), times[0] if axes else times, "s", "time"),
+        "time": Labelled(("time",), times[0] if batch else times, "s", "time"),
         "joint": joints,
         "component": COMPONENTS,
     }
-    if axes:
+    if batch:
         count = len(np.asarray(run.status))
         names = [str(number) for number in range(count)] if cases is None else cases
         coordinates["case"] = names
     variables: dict[str, Labelled] = {}
-    _add_loads(variables, run, joints, before)
+    _add_loads(variables, run, joints, before, axes)
     _add_motion(variables, coordinates, run, before)
     _add_energies(variables, coordinates, run, before)
     _add_points(variables, coordinates, run, before)
     _add_paths(variables, coordinates, run, before)
     _add_contacts(variables, coordinates, run, before)
+    _add_shaking(variables, run, before)
     _add_lines(variables, coordinates, run, before)
     for one in (*CHECKS, HINGE_MOMENT_ERROR):
         variables[one.name] = _labelled(one, before, getattr(run.checks, one.name))
@@ -81,15 +85,16 @@ def _stack(values: Sequence[Any], axis: int) -> np.ndarray:
     return np.stack([np.asarray(one) for one in values], axis=axis)
 
 
-def _add_loads(variables, run, joints, before) -> None:
+def _add_loads(variables, run, joints, before, axes) -> None:
     """Loads over time, preloads, integrals and metrics by joint."""
-    at = len(before)
+    require_choice(axes, tuple(AXES), "axes")
+    loads, preload, at, words = run.loads_in(axes), run.preload_in(axes), len(before), AXES[axes]
     for what, unit in (("force", "N"), ("moment", "N m")):
-        over_time = _stack([getattr(run.loads[name], what) for name in joints], at + 1)
-        variables[what] = Labelled((*before, "time", "joint", "component"), over_time, unit, f"joint {what}, frame H")
-        start = _stack([getattr(run.preload[name], what) for name in joints], at)
+        over_time = _stack([getattr(loads[name], what) for name in joints], at + 1)
+        variables[what] = Labelled((*before, "time", "joint", "component"), over_time, unit, f"joint {what}, {words}")
+        start = _stack([getattr(preload[name], what) for name in joints], at)
         variables[f"preload_{what}"] = Labelled(
-            (*before, "joint", "component"), start, unit, f"joint {what} at the start, frame H"
+            (*before, "joint", "component"), start, unit, f"joint {what} at the start, {words}"
         )
         squared = {"force": "N^2 s", "moment": "(N m)^2 s"}[what]
         sums = getattr(run.integrals, f"{what}_square")
@@ -219,6 +224,17 @@ def _add_contacts(variables, coordinates, run, before) -> None:
     if run.contact_changes is not None:
         meaning = "how often contacts have closed or opened"
         variables["contact_changes"] = Labelled(before, run.contact_changes, "1", meaning)
+
+
+def _add_shaking(variables, run, before) -> None:
+    """Force of the mechanism on its base and its moment, where they are recorded."""
+    if RECORD not in run.recorded:
+        return
+    recorded, dims = run.recorded[RECORD], (*before, "time", "component")
+    for load, unit in (("force", "N"), ("moment", "N m")):
+        about = "" if load == "force" else ", about `shaking_point`"
+        meaning = f"{load} of the mechanism on its base{about}, global axes"
+        variables[f"{RECORD}_{load}"] = Labelled(dims, getattr(recorded, load), unit, meaning)
 
 
 def _add_lines(variables, coordinates, run, before) -> None:

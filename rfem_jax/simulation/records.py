@@ -10,6 +10,7 @@ Place in the pipeline: section_loads, observation -> **records** -> integration;
     JOINT.friction_loss     energy (times,) [J] that friction in a joint has dissipated
     JOINT.bearing           its capacities, a `BearingCapacity`
     masses                  {link: mass with point masses [kg]}
+    shaking                 what the mechanism exerts on its base, a `ShakingLoad`
     POINT.perfect_path      `PerfectPath` of the point on the perfect mechanism under the same drive, with the values of
                             the design: another simulation, which a batch shares
 """
@@ -26,6 +27,7 @@ from jaxtyping import Float
 from rfem_jax.description.basics.errors import InputError, suggestion
 from rfem_jax.description.metrics.subjects import divided
 from rfem_jax.mechanics.algebra.vectors import dot
+from rfem_jax.mechanics.dynamics.base_loads import shaking_load
 from rfem_jax.mechanics.dynamics.loads import velocities
 from rfem_jax.mechanics.dynamics.point_paths import PointMotion
 from rfem_jax.mechanics.dynamics.section_loads import loads_of_sections, stress_squares
@@ -34,7 +36,11 @@ from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 from rfem_jax.simulation.equations import Numbers, safe_sqrt
 from rfem_jax.simulation.observation import Instant
 
-OF_LINKS, OF_JOINTS, OF_RUNS = ("sections", "deflection"), ("turning", "friction_loss", "bearing"), ("masses",)
+OF_LINKS, OF_JOINTS, OF_RUNS = (
+    ("sections", "deflection"),
+    ("turning", "friction_loss", "bearing"),
+    ("masses", "shaking"),
+)
 PERFECT_PATH = "perfect_path"  # of points
 
 
@@ -115,6 +121,9 @@ def instant_records(
     records: dict[str, Any] = {}
     for name in names:
         owner, _, kind = name.rpartition(".")
+        if name == "shaking":
+            elements = {} if actual.frame_forces is None else actual.frame_forces.elements
+            records[name] = shaking_load(instant.base, elements, instant.frame_loads, model.shaking_point)
         if kind == "sections":
             records[name] = loads_of_sections(model, actual, state, instant, actual.topology.links.index(owner))
         if kind == "deflection":

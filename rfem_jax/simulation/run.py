@@ -325,6 +325,29 @@ class Run(eqx.Module):
             {name: mean(value) for name, value in sums.moment_square.items()},
         )
 
+    def loads_in(self, axes: str) -> Loads:
+        """Loads of all joints in other axes: "parent" or "child", those of the link there (of a flexible one of its rfe
+        that the joint is on), "global", or "joint", each in its frame H as `loads`. They stay what the parent exerts on
+        the child, about the joint's centre. Of a batch, too; differentiable.
+
+        **Raises:** `InputError` for other axes, and for a run that does not say where its mechanism is.
+        """
+        if axes == "joint":
+            return self.loads
+        return Loads(self._named(axes, preload=False))
+
+    def preload_in(self, axes: str) -> dict[str, Load]:
+        """Preload of all joints in axes as of `loads_in`."""
+        return self.preload if axes == "joint" else self._named(axes, preload=True)
+
+    def _named(self, axes: str, preload: bool) -> dict[str, Load]:
+        from rfem_jax.simulation.axes_of_loads import histories_in
+
+        force, moment = histories_in(self, axes, preload)
+        assert self.model is not None, "histories_in has seen to it"
+        places = {name: self.model.topology.joints.index(name) for name in self.loads}
+        return {name: Load(force[..., j, :], moment[..., j, :]) for name, j in places.items()}
+
     def summary(self) -> str:
         """A few lines to print, of one run, not of a batch."""
         if np.ndim(self.status) != 0:
@@ -360,16 +383,17 @@ class Run(eqx.Module):
     def __str__(self) -> str:
         return self.summary()
 
-    def to_xarray(self, cases: Sequence[str] | None = None) -> Dataset:
+    def to_xarray(self, cases: Sequence[str] | None = None, axes: str = "joint") -> Dataset:
         """An `xarray.Dataset` of everything, with units and long names, which `to_netcdf` can write.
 
-        **Arguments:** `cases`: the names along the dimension `case` of a batch; None numbers them.
+        **Arguments:** `cases`: the names along the dimension `case` of a batch; None numbers them; `axes` of loads and
+        preloads, as of `loads_in`.
 
-        **Raises:** `InputError` for a batch with several axes.
+        **Raises:** `InputError` for a batch with several axes, and as `loads_in`.
         """
         from rfem_jax.simulation.labelled_runs import run_dataset
 
-        return run_dataset(self, cases)
+        return run_dataset(self, cases, axes)
 
     def to_pandas(self) -> DataFrame:
         """A `pandas.DataFrame` of one run with a row per joint: its metrics and preload.

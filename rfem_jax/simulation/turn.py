@@ -18,9 +18,10 @@ from jax.core import Tracer
 from jaxtyping import Float, Int
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.basics.errors import InputError, require_choice
 from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.mechanics.dynamics import loads
+from rfem_jax.mechanics.dynamics.load_axes import AXES, turned_loads
 from rfem_jax.mechanics.dynamics.point_paths import point_motions
 from rfem_jax.mechanics.dynamics.section_loads import loads_of_sections, stress_squares
 from rfem_jax.mechanics.elements.linear_validity import linear_error, linear_range
@@ -55,7 +56,7 @@ class Turn(eqx.Module):
     [Pa]: largest von Mises stress of every link whose section's edge is known (rigid links too); status of each
     assembly; contacts (positions, ...): of the joints with clearance, by their names; linear_error: estimated error of
     linear elements (`linear_validity`); places [m] (positions, 3) of the points whose paths are followed, by their
-    names.
+    names; in_axes: the loads in further axes, if these were asked for.
     """
 
     position: Float[Array, "*positions"]
@@ -67,6 +68,7 @@ class Turn(eqx.Module):
     contacts: dict[str, ContactState] = eqx.field(default_factory=dict)
     linear_error: Float[Array, "*positions"] | None = None
     places: dict[str, Float[Array, "*positions 3"]] = eqx.field(default_factory=dict)
+    in_axes: dict[str, Load] = eqx.field(default_factory=dict)
 
 
 def turn_positions(
@@ -116,20 +118,25 @@ def closed_poses(model: Model, positions: Float[np.ndarray, " positions"]) -> Cl
 
 
 def kinetostatic_turn(
-    model: Model, errors: Errors | None = None, positions: Float[np.ndarray, " positions"] | None = None
+    model: Model,
+    errors: Errors | None = None,
+    positions: Float[np.ndarray, " positions"] | None = None,
+    axes: str = "joint",
 ) -> Turn:
     """Loads in all joints of a mechanism that is held at positions of its first drive, other drives at their start.
 
     **Arguments:** `errors` from `assembly_errors`, or {name: value} (None: perfect); `positions` [rad, m], as of
-    `turn_positions` (None: 72 over a revolution).
+    `turn_positions` (None: 72 over a revolution); `axes`: "parent", "child" or "global" for the loads in these axes,
+    too, as `Turn.in_axes`.
 
     **Returns:** `Turn`. Differentiable with respect to errors and deviations of parameters, also under jit, vmap,
     forward and reverse mode.
 
-    **Raises:** `InputError` for a model without a driven joint, one of traced numbers, and for positions at which it
-    does not close.
+    **Raises:** `InputError` for a model without a driven joint, one of traced numbers, other axes, and for positions at
+    which it does not close.
     """
     require_float64()
+    require_choice(axes, tuple(AXES), "axes")
     if isinstance(model.start_joints, Tracer):
         raise InputError(
             "Argument `model` of a turn must have numbers that are known, as its loops are closed at every position "
@@ -137,14 +144,14 @@ def kinetostatic_turn(
         )
     positions = turn_positions(model) if positions is None else np.atleast_1d(np.asarray(positions, float))
     poses = closed_poses(model, positions)
-    return turn_over(model, errors_of(model, errors), poses)
+    return turn_over(model, errors_of(model, errors), poses, axes)
 
 
 @partial(Program, nameless=True)
-def turn_over(model: Model, errors: AssemblyErrors, poses: ClosedPose) -> Turn:
-    """The turn over closed poses."""
+def turn_over(model: Model, errors: AssemblyErrors, poses: ClosedPose, axes: str = "joint") -> Turn:
+    """The turn over closed poses; `axes`: as of `kinetostatic_turn`."""
     made = designed(model, None, errors)
-    turn = jax.lax.map(lambda pose: held_at(made.model, made.errors, pose), poses)
+    turn = jax.lax.map(lambda pose: held_at(made.model, made.errors, pose, axes=axes), poses)
     return eqx.tree_at(lambda t: t.status, turn, status_of(turn.status, made))
 
 
@@ -158,8 +165,9 @@ class _Still(NamedTuple):
     frame_loads: FrameLoads | None
 
 
-def held_at(model: Model, errors: AssemblyErrors, pose: ClosedPose, stresses: bool = True) -> Turn:
-    """The mechanism held at one closed pose, with the stresses of its links if wanted."""
+def held_at(model: Model, errors: AssemblyErrors, pose: ClosedPose, stresses: bool = True, axes: str = "joint") -> Turn:
+    """The mechanism held at one closed pose, with the stresses of its links if wanted; `axes`: as of
+    `kinetostatic_turn`."""
     # Crooked pins are those of the start.
     actual, topology = apply_errors(model, errors), model.topology
     model = eqx.tree_at(lambda m: (m.start_joints, m.cut_angles), model, (pose.start_joints, pose.cut_angles))
@@ -175,6 +183,9 @@ def held_at(model: Model, errors: AssemblyErrors, pose: ClosedPose, stresses: bo
     plain = joint
     if topology.clearances:
         plain = jax.tree.map(jnp.subtract, joint, loads.contact_loads(topology, resting))
+    turned = {}
+    if axes != "joint":
+        turned = named(model, turned_loads(topology, resting.motion, resting.closure, joint, axes))
     still = _Still(resting.motion, at_rest, at_rest, wrenches, resting.frame_loads)
     stress = {}
     edges = model.section.edges or (None,) * topology.n_links
@@ -193,4 +204,5 @@ def held_at(model: Model, errors: AssemblyErrors, pose: ClosedPose, stresses: bo
         contacts=contact_states(actual, resting.motion),
         linear_error=linear_error(linear_range(actual, position)),
         places={name: one.position for name, one in point_motions(actual, resting.motion, at_rest, at_rest).items()},
+        in_axes=turned,
     )

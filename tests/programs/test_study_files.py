@@ -21,6 +21,8 @@ JOINTS = {
     "straight_line": ("A", "B", "D", "C"),
     "slider_crank": ("A", "B", "G", "P"),
     "six_bar_press": ("A", "B", "D", "C", "E", "G", "F"),
+    "balancing/slider_crank.toml": ("A", "B", "G", "P"),
+    "balancing": ("A", "B", "D", "C"),
 }
 HINGES = [
     {"name": "A", "parent": "base", "child": "crank", "angle": "90 deg"},
@@ -47,7 +49,7 @@ def reduced(name, pendulum=False, change=None):
         simulation |= {key: content["simulation"][key] for key in ("method", "step")}
     mechanism = content["mechanism"]
     for link in mechanism["links"]:
-        link |= {"rfes": 1 if pendulum or link.get("rigid") else 2}
+        link |= {"rfes": 1 if pendulum or link.get("rigid") or "body" in link else 2}
     if pendulum:
         mechanism["links"], mechanism["joints"] = mechanism["links"][:2], HINGES
         bounds = content.get("allocation", {}).get("bounds", {})
@@ -69,7 +71,7 @@ def reduced(name, pendulum=False, change=None):
 def test_every_file_is_valid(name):
     study = load_study(STUDIES / name)
     model = discretise(study.mechanism)
-    names = JOINTS.get(name.partition("/")[0], ("A", "B", "D", "C"))
+    names = JOINTS.get(name) or JOINTS.get(name.partition("/")[0], ("A", "B", "D", "C"))
     assert model.driven_joint == study.drive.joint == "A" and model.joint_names == names
     folders = ("four_bar", "spatial_linkage", "bearing_stiffness", "clearance", *DESIGNS, *JOINTS, *COMMANDS)
     assert any(name.startswith(f"{folder}/") for folder in folders), "no test runs this file"
@@ -217,6 +219,63 @@ def test_straight_line(run_command):
         metrics = cases[name]["metrics"]
         assert metrics["P.max_deviation"] == pytest.approx(1e-3 * moved, rel=1e-2)
         assert metrics["P.straightness"] - 0.99417e-3 == pytest.approx(1e-3 * bent, rel=1e-2)
+
+
+def balancing(name):
+    """Text of a study of balancing without its sweep."""
+    content = tomllib.loads((STUDIES / "balancing" / name).read_text(encoding="utf-8"))
+    content.pop("sweep", None)
+    return "\n".join(f"{key} = {to_toml(value)}" for key, value in content.items())
+
+
+def slider_crank_shakes(counterweight, crank=0.06, rod=0.2, rate=20.0 * np.pi):
+    """RMS of the shaking force over a revolution: the rod's mass is shared between its ends as its centre has it."""
+    at_crank, at_piston = 0.8 * 0.13 / 0.2, 0.9 + 0.8 * 0.07 / 0.2
+    turning, sliding = 1.2 * 0.02 + at_crank * crank - counterweight * 0.05, at_piston * crank
+    turn = np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
+    sine, cosine = np.sin(turn), np.cos(turn)
+    height = np.sqrt(rod**2 - crank**2 * sine**2)  # the rod's part of the piston's place, twice differentiated
+    second = -(crank**2) * (cosine**2 - sine**2) / height - crank**4 * sine**2 * cosine**2 / height**3
+    along = (turning + sliding) * cosine - at_piston * second
+    return rate**2 * np.sqrt(np.mean(along**2 + (turning * sine) ** 2))
+
+
+@pytest.mark.slow
+def test_balancing_of_a_slider_crank(run_command):
+    """Shaking forces are those of the closed form; the best counterweight balances what turns and half of what
+    slides."""
+    out, _ = run_command("run", balancing("slider_crank.toml"))
+    cases = json.loads((out / "results.json").read_text())["cases"]
+    for case, mass in {"as_drawn": 0.1, "rotating": 1.104, "half": 1.812, "all": 2.52}.items():
+        assert cases[case]["metrics"]["rms_shaking_force"] == pytest.approx(slider_crank_shakes(mass), rel=1e-6)
+    found = json.loads((out / "optimise.json").read_text())
+    turning, sliding = 1.2 * 0.02 + 0.52 * 0.06, (0.9 + 0.28) * 0.06
+    best = (turning + 0.5 * sliding) / 0.05
+    assert found["status"] == "ok" and found["designs"]["crank.point_masses.1.mass"] == pytest.approx(best, rel=1e-6)
+    assert found["objective"] == pytest.approx(slider_crank_shakes(best) ** 2, rel=1e-6)
+    for case, shown in {"as_drawn": 370.7, "rotating": 206.8, "half": 152.4, "all": 206.8}.items():  # of README.md
+        assert cases[case]["metrics"]["rms_shaking_force"] == pytest.approx(shown, rel=5e-4)
+
+
+@pytest.mark.slow
+def test_balancing_of_a_four_bar(run_command):
+    """The conditions of Berkof and Lowen for links whose mass centres lie on their lines."""
+    out, _ = run_command("run", balancing("four_bar.toml"))
+    shared = 0.6 * 0.1 / 0.24  # of the coupler's mass, that the rocker carries
+    wanted = {
+        "crank.point_masses.1.mass": (0.5 * 0.04 + (0.6 - shared) * 0.08) / 0.06,
+        "rocker.point_masses.1.mass": (0.7 * 0.09 + shared * 0.2) / 0.08,
+    }
+    found = json.loads((out / "optimise.json").read_text())
+    assert found["status"] == "ok" and found["designs"] == pytest.approx(wanted, rel=1e-6)
+    drawn, balanced = (
+        json.loads((out / "results.json").read_text())["cases"][name] for name in ("as_drawn", "balanced")
+    )
+    metrics = [case["metrics"] for case in (drawn, balanced)]
+    assert metrics[1]["max_shaking_force"] < 1e-6 * metrics[0]["max_shaking_force"]
+    # What it costs, as README.md says.
+    assert [one["rms_shaking_moment"] for one in metrics] == pytest.approx([6.27, 9.96], rel=1e-3)
+    assert [one["D.max_force"] for one in metrics] == pytest.approx([90.2, 197.3], rel=1e-3)
 
 
 @pytest.mark.slow

@@ -170,6 +170,7 @@ def synthetic_run(size, status=0):
         contacts={},
         contact_losses={},
         points={},
+        recorded={},
         contact_changes=None,
         model=None,
     )

@@ -65,6 +65,8 @@ class Mechanism(NumberTree, ChecksItself):
         reaction_length: length [m], > 0, over which moments count beside forces in the sum of squares of
             "minimum_norm"; None: that of the longest link.
         points: Point objects, whose paths runs follow.
+        shaking_point: (x, y, z) [m] in global axes, about which the moment on the base is taken; given, studies report
+            what shakes the base; None: the origin of the base.
     Raises:
         InputError: names clash or are unknown, a link is not connected, a loop is not cut, a
             joint lies off a flexible link, or a force does not fit its joint or its links.
@@ -80,6 +82,7 @@ class Mechanism(NumberTree, ChecksItself):
     start: str = AS_GIVEN
     reaction_length: float | None = None
     points: tuple[Point, ...] = ()
+    shaking_point: tuple[float, float, float] | None = None
 
     def _repr_html_(self) -> str:
         return mechanism_html(self)
@@ -96,6 +99,8 @@ class Mechanism(NumberTree, ChecksItself):
         checks.convert("start", require_choice, STARTS, "start")
         checks.convert("forces", _unique, Force, "forces")
         checks.convert("points", _unique, Point, "points")
+        if self.shaking_point is not None:
+            checks.convert("shaking_point", number_vector, "length", "shaking_point")
         checks.relation(("links", "joints"), self._check_structure)
         checks.relation(("links", "joints", "forces"), self._resolve_forces)
         checks.relation(("links", "joints", "forces", "points"), self._check_points)

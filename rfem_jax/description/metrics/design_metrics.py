@@ -135,10 +135,10 @@ def _swept(run: Any, joint: str) -> tuple[Float[Array, ""], Float[Array, ""], tu
     over, under = bearing.exponent
     rate = jnp.abs(run.recorded[f"{joint}.turning"])
     loaded = power_of(squares / bearing.dynamic**2, over, 2 * under) * rate
-    return _integral(loaded, run.times), _integral(rate, run.times), (over, under)
+    return integral(loaded, run.times), integral(rate, run.times), (over, under)
 
 
-def _integral(values: Float[Array, " times"], times: Float[Array, " times"]) -> Float[Array, ""]:
+def integral(values: Float[Array, " times"], times: Float[Array, " times"]) -> Float[Array, ""]:
     """Trapezoidal rule over the saved times."""
     return jnp.sum(0.5 * (values[1:] + values[:-1]) * (times[1:] - times[:-1]))
 

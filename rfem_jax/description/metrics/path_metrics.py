@@ -403,7 +403,7 @@ def _add_shapes() -> None:
          "centre of their circle of least squares", kinked=True, note=OF_SAVED, equation="(8.25)")  # fmt: skip
     _add("repeatability", "m", "repeatability of the path of {point}", _repeatability,
          "largest distance between the places at equal coordinates of the first drive in its last turn and in the turn "
-         "before; no value before two turns", kinked=True, equation="(8.26)")  # fmt: skip
+         "before; no value before two turns", kinked=True, equation="(8.29)")  # fmt: skip
     _add("dwell", "s", "dwell of {point}", _dwell,
          "time in which the point is slower than a hundredth of its largest speed")  # fmt: skip
 

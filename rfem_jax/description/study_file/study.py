@@ -40,6 +40,7 @@ from rfem_jax.description.drives.translations import PrescribedDisplacements
 from rfem_jax.description.mechanism.mechanism import STARTS, Mechanism
 from rfem_jax.description.methods import Method
 from rfem_jax.description.metrics.path_metrics import REPORTED
+from rfem_jax.description.metrics.shaking_metrics import with_shaking
 from rfem_jax.description.metrics.subjects import require_metric, subjects_of
 from rfem_jax.description.parameters.design_table import read_design
 from rfem_jax.description.parameters.deviations import known_while_reading, require_signs, require_sizes
@@ -302,6 +303,7 @@ class Study(ChecksItself):
         owners = {name.partition(".")[0].partition("@")[0] for name in found}
         silent = [point.name for point in self.mechanism.points if point.name not in owners]
         found += [f"{point}.{kind}" for point in silent for kind in REPORTED]
+        found = with_shaking(found, self.mechanism)
         object.__setattr__(self, "metrics", tuple(dict.fromkeys(found)))
 
 

@@ -127,6 +127,7 @@ def arrays_of(parts: Parts, structure: PartStructure) -> Model:
         reaction_length=_reaction_length(parts) if topology.minimum_norm else None,
         points=_carried_points(parts, topology, links, points) or None,
         line_loads=_line_loads(parts, topology) or None,
+        shaking_point=None if parts.shaking_point is None else _array(parts.shaking_point),
     )
     return _with_clearances(model, joints) if topology.clearances else model
 

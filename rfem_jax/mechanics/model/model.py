@@ -388,7 +388,8 @@ class Model(eqx.Module):
     which those of `Topology.rated` count, likewise; frame_forces: elements between frames on nodes, likewise; springs:
     of compliant joints, by the names of joint and direction as "A.radial", likewise; bearings: what they carry, by
     joint, likewise; reaction_length [m]: over which moments count in the norm of reactions, None unless the least are
-    asked for; points: whose paths are followed, by their names, None without any; line_loads: along links, likewise.
+    asked for; points: whose paths are followed, by their names, None without any; line_loads: along links, likewise;
+    shaking_point [m]: about which the moment on the base is taken, None for the origin.
 
     Numbers of the description change by a `rfem_jax.design`, from which all arrays follow.  `equinox.tree_at` may
     replace what is no number of a description and leaves the geometry as it is, such as the stiffnesses of one link of
@@ -420,6 +421,7 @@ class Model(eqx.Module):
     reaction_length: Float[Array, ""] | None = None
     points: dict[str, CarriedPoint] | None = None
     line_loads: dict[str, LineLoad] | None = None
+    shaking_point: Float[Array, "3"] | None = None
 
     @property
     def vectors_of_time(self) -> list[TimeVector]:

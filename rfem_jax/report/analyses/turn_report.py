@@ -19,7 +19,7 @@ from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.status import STATUS
 from rfem_jax.report.analyses.analysis import errors_of_cases, write_analysis
 from rfem_jax.report.annotations import Figure
-from rfem_jax.report.files import contact_columns
+from rfem_jax.report.files import axes_columns, contact_columns
 from rfem_jax.report.output import write_csv
 from rfem_jax.report.pictures import drawn, write_pictures
 from rfem_jax.report.style import add_titles, line_style, new_figure
@@ -29,14 +29,15 @@ from rfem_jax.simulation.remarks import linear_remark
 from rfem_jax.simulation.turn import ClosedPose, Turn, closed_poses, turn_over
 
 
-def compute_turn(study: Study, model: Model, positions: Float[np.ndarray, " positions"]) -> Turn:
-    """The turn of all cases, which are the first axis."""
-    return jax.tree.map(np.asarray, _of_cases(model, errors_of_cases(study, model), closed_poses(model, positions)))
+def compute_turn(study: Study, model: Model, positions: Float[np.ndarray, " positions"], axes: str = "joint") -> Turn:
+    """The turn of all cases, which are the first axis; `axes`: as of `kinetostatic_turn`."""
+    poses = closed_poses(model, positions)
+    return jax.tree.map(np.asarray, _of_cases(model, errors_of_cases(study, model), poses, axes))
 
 
 @partial(Program, nameless=True)
-def _of_cases(model: Model, errors: AssemblyErrors, poses: ClosedPose) -> Turn:
-    return jax.vmap(lambda one: turn_over(model, one, poses))(errors)
+def _of_cases(model: Model, errors: AssemblyErrors, poses: ClosedPose, axes: str) -> Turn:
+    return jax.vmap(lambda one: turn_over(model, one, poses, axes))(errors)
 
 
 def statuses(turn: Turn) -> list[str]:
@@ -176,7 +177,7 @@ def _linear_error(turn: Turn, case: int) -> float:
     return float(np.max(errors, initial=0.0))
 
 
-def write_turn(folder: Path, study: Study, model: Model, turn: Turn) -> list[Path]:
+def write_turn(folder: Path, study: Study, model: Model, turn: Turn, axes: str = "joint") -> list[Path]:
     """Write turn.json (largest loads, and resultants over the positions) and turn.csv (all positions), both with the
     contacts of joints with clearance."""
     unit, force = ("m", "N") if _slides(model) else ("rad", "Nm")
@@ -188,6 +189,8 @@ def write_turn(folder: Path, study: Study, model: Model, turn: Turn) -> list[Pat
             cases[case.name]["contacts"] = _contacts(turn, c)
         states = jax.tree.map(lambda values, c=c: values[c], turn.contacts)
         contacts = contact_columns(states)
+        loads = jax.tree.map(lambda values, c=c: values[c], turn.in_axes)
+        turned = axes_columns(study, loads, axes) if loads else {}
         for i, position in enumerate(turn.position[c]):
             row: dict[str, Any] = {"case": case.name, f"position_{unit}": float(position)}
             row |= {"status": STATUS[int(turn.status[c, i])].name, f"holding_{force}": float(turn.holding[c, i])}
@@ -203,6 +206,7 @@ def write_turn(folder: Path, study: Study, model: Model, turn: Turn) -> list[Pat
                 f"{name}_carrying": "+".join(carrying(one.penetration[i])) or "none" for name, one in states.items()
             }
             row |= {name: float(values[i]) for name, values in contacts.items()}
+            row |= {name: float(values[i]) for name, values in turned.items()}
             rows.append(row)
     units = {
         "max_force": "N", "max_moment": "N m", "max_stress": "Pa", "max_force_at": unit, "max_moment_at": unit,

@@ -70,6 +70,17 @@ def add_study(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("study", metavar="STUDY.toml", help="the study file")
 
 
+def add_axes(parser: argparse.ArgumentParser) -> None:
+    """Further axes for the loads of joints."""
+    parser.add_argument(
+        "--axes",
+        choices=("joint", "parent", "child", "global"),
+        default="joint",
+        help="write the loads of all joints in these axes, too: of the parent's link, of the child's, or global ones "
+        "(default: each in the frame of its joint alone)",
+    )
+
+
 def add_study_and_folder(parser: argparse.ArgumentParser) -> None:
     """The study file, the folder for the results, devices, and whether programs are kept."""
     add_study(parser)

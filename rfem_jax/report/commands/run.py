@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from rfem_jax.report.annotations import Run, Study, Summaries
-from rfem_jax.report.commands.command import Answer, Command, Interrupted, add_study_and_folder
+from rfem_jax.report.commands.command import Answer, Command, Interrupted, add_axes, add_study_and_folder
 from rfem_jax.report.commands.folders import open_folder, require_folder, writing_into
 from rfem_jax.report.commands.steps import (
     announce,
@@ -42,9 +42,14 @@ def command() -> Command:
         f"that the study declares ({', '.join(f'[{name}]' for name in task_kinds())}).",
         epilog="Pictures need the extra `plots`. Compiled programs are kept in the user's cache "
         "folder, so that the next run starts at once.",
-        add_arguments=add_study_and_folder,
+        add_arguments=_add_arguments,
         act=act,
     )
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_study_and_folder(parser)
+    add_axes(parser)
 
 
 def act(arguments: argparse.Namespace) -> Answer:
@@ -69,7 +74,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     statuses = {name: STATUS[int(run.status)] for name, run in runs.items()}
     if any(int(run.status) == PAST_LIMIT for run in runs.values()):
         statuses = _with_place(statuses, runs, study)
-    summaries = summarise(study, runs, statuses)
+    summaries = summarise(study, runs, statuses, arguments.axes)
     start = start_of(runs)
     show(results_text(study, summaries), end="\n\n")
     if start is not None:
@@ -77,7 +82,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     written: list[Path] = []
     try:
         with writing_into(folder):
-            written += write_files(folder, study, runs, summaries, start)
+            written += write_files(folder, study, runs, summaries, start, arguments.axes)
             written += write_run_pictures(folder, study, runs, summaries)
             written += write_run_animation(folder, runs)
     except KeyboardInterrupt:

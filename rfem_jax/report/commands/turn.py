@@ -8,7 +8,7 @@ import time
 from typing import Any
 
 from rfem_jax.report.annotations import Model
-from rfem_jax.report.commands.command import Answer, Command, add_study_and_folder
+from rfem_jax.report.commands.command import Answer, Command, add_axes, add_study_and_folder
 from rfem_jax.report.commands.folders import open_folder, require_folder, writing_into
 from rfem_jax.report.commands.steps import announce, discretise_study, finish, prepare_pictures, read_study
 from rfem_jax.report.progress_line import show
@@ -29,6 +29,7 @@ def command() -> Command:
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
     add_study_and_folder(parser)
+    add_axes(parser)
     parser.add_argument("--positions", metavar="N", type=int, default=72, help="number of positions (default: 72)")
     parser.add_argument("--from", dest="start", metavar="X", help='first position, as "30 deg" (default: the start)')
     parser.add_argument("--to", dest="stop", metavar="X", help="last position (default: over a revolution)")
@@ -48,11 +49,11 @@ def act(arguments: argparse.Namespace) -> Answer:
     positions = turn_positions(model, arguments.positions, start, stop)
     prepare_pictures(many=False)
     announce(f"Finding equilibria at {len(positions)} positions")
-    turn = report.compute_turn(study, model, positions)
+    turn = report.compute_turn(study, model, positions, arguments.axes)
     folder = open_folder(arguments.out)
     show(report.turn_text(study, model, turn), end="\n\n")
     with writing_into(folder):
-        written = report.write_turn(folder, study, model, turn)
+        written = report.write_turn(folder, study, model, turn, arguments.axes)
         written += report.draw_turn(folder, study, model, turn)
     return finish(folder, written, set(report.statuses(turn)) == {"ok"}, started)
 

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from rfem_jax.description.metrics.shaking_metrics import RECORD
+from rfem_jax.mechanics.dynamics.load_axes import AXES
 from rfem_jax.report.page.packing import pack_floats, some_rows
 from rfem_jax.simulation.quantities import ENERGIES
 
@@ -61,6 +63,16 @@ def quantities_of(names: Sequence[str], joints: Sequence[str]) -> list[dict[str,
                 used |= set(columns)
                 one = {"label": f"{load} in {joint}", "group": f"Joint {joint}", "unit": unit, "joint": joint}
                 found.append({**one, "load": load.lower(), "columns": columns, "parts": list("xyz")})
+    vectors = [(f"{RECORD}_{{load}}", "Shaking {load}", "Base")]
+    for axes, words in AXES.items():
+        vectors += [(f"{joint}_{{load}}_{axes}", f"{{Load}} in {joint}, {words}", f"Joint {joint}") for joint in joints]
+    for before, label, group in vectors:
+        for load, unit, suffix in (("force", "N", "N"), ("moment", "N m", "Nm")):
+            columns = [f"{before.format(load=load)}_{axis}_{suffix}" for axis in "xyz"]
+            if used.isdisjoint(columns) and set(columns) <= set(names):
+                used |= set(columns)
+                shown = label.format(load=load, Load=load.capitalize())
+                found.append({"label": shown, "group": group, "unit": unit, "columns": columns, "parts": list("xyz")})
     labels = {one.name: one.label for one in ENERGIES}
     for name in names:
         if name in used:

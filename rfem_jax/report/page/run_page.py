@@ -10,7 +10,7 @@ import numpy as np
 
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.mechanics.model.status import STATUS
-from rfem_jax.report.files import path_columns
+from rfem_jax.report.files import path_columns, shaking_columns
 from rfem_jax.report.output import versions, without_nan
 from rfem_jax.report.page.animation import pack_animation, record_animation
 from rfem_jax.report.page.document import write_document
@@ -118,7 +118,7 @@ def _columns(run: Run) -> Columns:
             else:
                 named = enumerate(several.T, start=1)
                 columns |= {column_name(f"{joint}_{what}_{n}", unit): one for n, one in named}
-    columns |= path_columns(run)
+    columns |= path_columns(run) | shaking_columns(run)
     if run.model is not None and run.model.topology.drives:
         columns[column_name("rate", "m/s" if _slides(run) else "rad/s")] = np.asarray(run.motion.rate)
     return columns
