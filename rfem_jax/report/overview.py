@@ -220,6 +220,8 @@ def count_lines(mechanism: Mechanism, description: Structure) -> list[str]:
         )
     if not description.redundant:
         return [*lines, "No redundant constraints: all joint reactions are unique."]
+    if description.reactions:
+        return [*lines, wrap_lines(f"Redundant constraints. {description.reactions}")]
     lines.append("Redundant constraints: the joint reactions are not unique.")
     if mechanism.redundant_reactions == "minimum_norm":
         of = "the longest link; `reaction_length` sets another" if mechanism.reaction_length is None else "as given"

@@ -17,7 +17,7 @@ from rfem_jax.report.annotations import Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
 from rfem_jax.report.summary import OK, joint_names, marked, marked_cases, study_note
 from rfem_jax.simulation.quantities import BALANCES, DRIVEN_JOINT, JOINT_METRICS, Quantity
-from rfem_jax.text_layout import align_columns
+from rfem_jax.text_layout import align_columns, wrap_lines
 
 _WIDTH = 96
 
@@ -170,7 +170,12 @@ def results_text(study: Study, summaries: Summaries) -> str:
     failed = {case: one for case, one in summaries.items() if one["status"] != OK}
     if failed:
         parts.append("\n".join(f"* Case {case}: {one['message']}" for case, one in failed.items()))
-    if remarks := [f"Case {case}: {remark}" for case, one in summaries.items() for remark in one["remarks"]]:
+    good = [one["remarks"] for case, one in summaries.items() if case not in failed]
+    of_all = [remark for remark in good[0] if len(good) > 1 and all(remark in one for one in good)] if good else []
+    lines = [
+        f"Case {case}: {remark}" for case, one in summaries.items() for remark in one["remarks"] if remark not in of_all
+    ]
+    if remarks := [*lines, *map(wrap_lines, of_all)]:
         parts.append("\n".join(remarks))
     return "\n\n".join(parts)
 

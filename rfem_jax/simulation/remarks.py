@@ -6,6 +6,8 @@ Place in the pipeline: run -> **remarks** -> tolerancing, report.
 from typing import Any
 
 from rfem_jax.mechanics.elements.linear_validity import REMARKABLE_LINEAR_ERROR
+from rfem_jax.mechanics.model.planar_loops import model_reactions_text
+from rfem_jax.mechanics.model.status import OK
 
 # Of the energy that is exchanged, and of the largest joint load: with a larger error of a balance a run is not
 # accepted (loads of a four-bar whose step is too long are off by some 8 % there); from the lower limit on it is
@@ -40,5 +42,6 @@ def remarks_on(run: Any) -> tuple[str, ...]:
         balance_remark(float(run.checks.energy_balance_error), "the energies"),
         balance_remark(float(run.checks.momentum_balance_error), "joint forces beside the rate of momentum"),
         linear_remark(float(run.checks.linear_error)),
+        model_reactions_text(run.model) if int(run.status) == OK else "",
     )
     return tuple(filter(None, remarks))

@@ -32,6 +32,17 @@ def check_known(names: Iterable[str], known: Collection[str], what: str) -> None
             )
 
 
+def check_variables(names: Collection[str], problem: Any, what: str) -> None:
+    """Raise InputError for the first of `names` that the problem does not know, or that it cannot vary.
+
+    Args: problem, a ToleranceProblem; what, name of the argument that holds them.
+    """
+    check_known(names, problem.error_names, what)
+    require_closable = getattr(problem, "require_closable", None)
+    if require_closable is not None:
+        require_closable(names, what)
+
+
 def check_distinct(names: str | Iterable[str], what: str) -> tuple[str, ...]:
     """`names` as a tuple, at least one and none twice. Raises InputError."""
     names = (names,) if isinstance(names, str) else tuple(names)

@@ -39,7 +39,7 @@ def packages(monkeypatch, runs):
     mechanics, simulation = ModuleType("mechanics"), ModuleType("simulation")
     counts = {"coordinates": 51, "constraints": 5, "rank": 5, "mobility": 46, "rigid_mobility": 1, "gap": 0.0}
     mechanics.discretise = lambda mechanism: SimpleNamespace(mechanism=mechanism)
-    mechanics.describe = lambda model: SimpleNamespace(**counts, redundant=False, idle=(), start=START)
+    mechanics.describe = lambda model: SimpleNamespace(**counts, redundant=False, reactions="", idle=(), start=START)
     simulation.STATUS = STATUS
     simulation.check_step = lambda model, method, drive: 1.94e-5
     simulation.drive_limit = lambda model, drive, duration: None

@@ -88,6 +88,14 @@ def test_a_failed_case_says_why(study, runs, statuses):
     assert not [row for row in rows if row and row[0] in ("P1*", "P3*")]
 
 
+def test_a_remark_on_all_cases_is_shown_once(study, runs, statuses):
+    summaries = summarise(study, runs, statuses)
+    for case, one in summaries.items():
+        one["remarks"] = ["Of all.", *(["Of one."] if case == "P2" else [])]
+    text = results_text(study, summaries)
+    assert text.count("Of all.") == 1 and "Case P2: Of one.\nOf all." in text
+
+
 def test_the_note_of_a_study_is_shown(study, runs, statuses):
     object.__setattr__(study, "note", "A substitute for the lost data.")
     text = results_text(study, summarise(study, runs, statuses))
@@ -95,7 +103,7 @@ def test_the_note_of_a_study_is_shown(study, runs, statuses):
 
 
 def test_the_overview_says_what_was_understood(study):
-    text = study_text(study, SimpleNamespace(**COUNTS, redundant=False, idle=(), start=START))
+    text = study_text(study, SimpleNamespace(**COUNTS, redundant=False, reactions="", idle=(), start=START))
     words = {line.split()[0]: line.split() for line in text.splitlines() if line}
     assert words["crank"][1:4] == ["0.12", "0.1884", "rigid"]
     # 0.3 m of steel, 10 mm x 20 mm, and a point mass of 0.1 kg.
@@ -115,7 +123,7 @@ def test_the_overview_says_what_was_understood(study):
 def test_the_overview_shows_forces(study):
     forces = [JointSpring("return", "A", "2 N m/deg", preload=-1), JointForceTable("cam", "B", [0, 1], [0, 3])]
     object.__setattr__(study, "mechanism", replace(study.mechanism, forces=forces))
-    text = study_text(study, SimpleNamespace(**COUNTS, redundant=False, idle=(), start=START))
+    text = study_text(study, SimpleNamespace(**COUNTS, redundant=False, reactions="", idle=(), start=START))
     numbers = "stiffness 114.592, damping 0, rest 0, preload -1"
     assert f"Force return: joint spring on joint A, R_y (SI: {numbers}).\n" in text
     numbers = "2 rows, positions 0 to 1, forces 0 to 3"
@@ -123,21 +131,23 @@ def test_the_overview_shows_forces(study):
 
 
 def test_redundant_reactions_are_reported(study):
-    text = study_text(study, SimpleNamespace(**COUNTS, redundant=True, idle=(), start=START))
+    text = study_text(study, SimpleNamespace(**COUNTS, redundant=True, reactions="", idle=(), start=START))
     assert "not unique" in text
     assert 'redundant_reactions = "minimum_norm"' in text
     object.__setattr__(study.mechanism, "redundant_reactions", "minimum_norm")
-    text = study_text(study, SimpleNamespace(**COUNTS, redundant=True, idle=(), start=START))
+    text = study_text(study, SimpleNamespace(**COUNTS, redundant=True, reactions="", idle=(), start=START))
     assert "minimum norm" in text
     assert "force^2 + (moment / 0.3 m)^2 is least (the longest link; `reaction_length` sets another)." in text
     object.__setattr__(study.mechanism, "reaction_length", 0.05)
-    text = study_text(study, SimpleNamespace(**COUNTS, redundant=True, idle=(), start=START))
+    text = study_text(study, SimpleNamespace(**COUNTS, redundant=True, reactions="", idle=(), start=START))
     assert "(moment / 0.05 m)^2 is least (as given)." in text and "are the least: force^2 + (moment / 0.05 m)^2" in text
 
 
 def test_a_study_without_a_drive(study, runs, statuses):
     object.__setattr__(study, "drive", None)
-    assert "Drive: none." in study_text(study, SimpleNamespace(**COUNTS, redundant=False, idle=(), start=START))
+    assert "Drive: none." in study_text(
+        study, SimpleNamespace(**COUNTS, redundant=False, reactions="", idle=(), start=START)
+    )
     assert "Angle at end" not in results_text(study, summarise(study, runs, statuses))
 
 
@@ -164,5 +174,5 @@ def test_the_start_is_said_in_a_sentence(study):
     for start, sentence in said.items():
         assert start_text(start) == sentence
         assert sentence in " ".join(
-            study_text(study, SimpleNamespace(**COUNTS, redundant=False, idle=(), start=start)).split()
+            study_text(study, SimpleNamespace(**COUNTS, redundant=False, reactions="", idle=(), start=start)).split()
         )

@@ -36,6 +36,7 @@ from rfem_jax.description.tolerances.error_catalogue import LINK_ERRORS, error_u
 Part = TypeVar("Part", Link, Joint, Force, Point)
 
 ELEMENTS = ("linear", "geometrically_exact")
+REACTIONS = PLANAR, MINIMUM_NORM, REFUSE = "planar", "minimum_norm", "refuse"
 STARTS = AS_GIVEN, EQUILIBRIUM = "as_given", "equilibrium"
 _ROUNDING = 1e-12  # a position at the end of a link may exceed its length by rounding
 
@@ -49,7 +50,9 @@ class Mechanism(NumberTree, ChecksItself):
         joints: Joint objects; each link is the child of exactly one that is not cut.
         gravity: (x, y, z) [m/s^2] in the global frame.
         redundant_reactions: what to do where joint loads are not unique (rigid loops with parallel
-            axes): "refuse", or "minimum_norm" for those loads whose sum of squares over all joints is least.
+            axes): "minimum_norm" for those loads whose sum of squares over all joints is least; "planar" for the same
+            where loads in the plane of planar loops are unique, so that only those across it are chosen so, while
+            others are refused; "refuse" for none.
         driven_joint: the joint of the tree that a drive acts on and that assembly holds at its start; with several
             free motions "joint.motion", as "C.T_y"; a list of these for several drives, those of prescribed
             motions first; None = none (a study sets it from its drives).
@@ -75,7 +78,7 @@ class Mechanism(NumberTree, ChecksItself):
     links: tuple[Link, ...]
     joints: tuple[Joint, ...]
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
-    redundant_reactions: str = "refuse"
+    redundant_reactions: str = PLANAR
     driven_joint: str | tuple[str, ...] | None = None
     elements: str = "linear"
     forces: tuple[Force, ...] = ()
@@ -91,7 +94,7 @@ class Mechanism(NumberTree, ChecksItself):
         checks.convert("links", _unique, Link, "links")
         checks.convert("joints", _unique, Joint, "joints")
         checks.convert("gravity", number_vector, "acceleration", "gravity")
-        checks.convert("redundant_reactions", require_choice, ("refuse", "minimum_norm"), "redundant_reactions")
+        checks.convert("redundant_reactions", require_choice, REACTIONS, "redundant_reactions")
         if self.reaction_length is not None:
             checks.convert("reaction_length", positive_quantity, "length", "reaction_length")
             checks.relation(("redundant_reactions", "reaction_length"), self._check_reaction_length)
@@ -107,7 +110,7 @@ class Mechanism(NumberTree, ChecksItself):
         checks.relation(("joints", "start"), self._check_rates)
 
     def _check_reaction_length(self) -> None:
-        if self.redundant_reactions != "minimum_norm":
+        if self.redundant_reactions != MINIMUM_NORM:
             raise InputError(
                 'Argument `reaction_length` must be left out unless redundant_reactions is "minimum_norm", to whose '
                 "norm it belongs; set that, or leave it out."
@@ -172,8 +175,8 @@ class Mechanism(NumberTree, ChecksItself):
 
     @property
     def norm_length(self) -> float | None:
-        """Length [m] over which moments count in the norm of redundant reactions; None where these are refused."""
-        if self.redundant_reactions != "minimum_norm":
+        """Length [m] over which moments count in the norm of redundant reactions; None where it is not asked for."""
+        if self.redundant_reactions != MINIMUM_NORM:
             return None
         return max(link.length for link in self.links) if self.reaction_length is None else self.reaction_length
 

@@ -18,7 +18,7 @@ from rfem_jax.description.mechanism.distributed_forces import DistributedForce
 from rfem_jax.description.mechanism.forces import JointForce, JointFriction
 from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.links import Link
-from rfem_jax.description.mechanism.mechanism import EQUILIBRIUM, Mechanism
+from rfem_jax.description.mechanism.mechanism import EQUILIBRIUM, MINIMUM_NORM, Mechanism
 from rfem_jax.description.mechanism.point_forces import AtPoint, BetweenPoints
 from rfem_jax.description.parameters.parts import Parts, parts_of
 from rfem_jax.mechanics.laws.bearings import bearing_capacities
@@ -82,7 +82,7 @@ def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], 
         elements=discretised.elements,
         drives=tuple(_coordinate(joints, *motion) for motion in mechanism.driven_motions),
         masses=tuple(discretised.node(i, float(mass.position[0])) for i, mass in masses),
-        minimum_norm=mechanism.redundant_reactions == "minimum_norm",
+        minimum_norm=mechanism.redundant_reactions == MINIMUM_NORM,
         exact=exact,
         holders=tuple(sorted({node for _, nodes in acted for node in nodes if node >= len(links)})),
         sprung=tuple(j.sprung for j in joints) if any(j.compliance or j.clearance for j in joints) else (),
@@ -124,7 +124,7 @@ def arrays_of(parts: Parts, structure: PartStructure) -> Model:
         springs=(_springs(parts, topology) or None) if topology.sprung else None,
         bearings=bearing_capacities(joints) or None,
         start_rates=_start_rates(joints[: len(links)], topology),
-        reaction_length=_reaction_length(parts) if topology.minimum_norm else None,
+        reaction_length=reaction_length(parts) if topology.minimum_norm else None,
         points=_carried_points(parts, topology, links, points) or None,
         line_loads=_line_loads(parts, topology) or None,
         shaking_point=None if parts.shaking_point is None else _array(parts.shaking_point),
@@ -132,7 +132,7 @@ def arrays_of(parts: Parts, structure: PartStructure) -> Model:
     return _with_clearances(model, joints) if topology.clearances else model
 
 
-def _reaction_length(parts: Parts) -> Array:
+def reaction_length(parts: Parts) -> Array:
     """The length [m] over which moments count in the norm of reactions: the longest link unless given."""
     longest = array_of([link.length for link in parts.links]).max()
     return jnp.asarray(longest if parts.reaction_length is None else parts.reaction_length, jnp.float64)

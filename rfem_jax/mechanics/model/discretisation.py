@@ -12,10 +12,11 @@ from jaxtyping import Float
 
 from rfem_jax.description.basics.errors import InputError, require_choice
 from rfem_jax.description.basics.precision import require_float64
-from rfem_jax.description.mechanism.mechanism import AS_GIVEN, ELEMENTS, EQUILIBRIUM, Mechanism
+from rfem_jax.description.mechanism.mechanism import AS_GIVEN, ELEMENTS, EQUILIBRIUM, PLANAR, Mechanism
+from rfem_jax.description.parameters.parts import parts_of
 from rfem_jax.mechanics.laws.joint_laws import holds
 from rfem_jax.mechanics.laws.point_laws import PointLaw
-from rfem_jax.mechanics.model.building import build_model
+from rfem_jax.mechanics.model.building import build_model, reaction_length
 from rfem_jax.mechanics.model.model import BASE, Model, Topology
 from rfem_jax.mechanics.model.nominal_geometry import (
     NominalGeometry,
@@ -32,6 +33,7 @@ from rfem_jax.mechanics.model.nominal_geometry import (
     shortest,
 )
 from rfem_jax.mechanics.model.normal_loads import require_unique_normal_loads
+from rfem_jax.mechanics.model.planar_loops import model_reactions_text, reactions_across
 from rfem_jax.mechanics.model.sources import CLOSING_TOLERANCE, RIGID_CLOSING_TOLERANCE
 from rfem_jax.mechanics.model.start_freedoms import with_start_freedoms
 
@@ -59,7 +61,8 @@ class Structure(NamedTuple):
     of freedom; rigid_*: the same with every link and every joint rigid; redundant: the multipliers, hence the joint
     loads, are not unique; gap [m]: how far the cut joint that closes worst stays open at the start with every link
     rigid; idle: names of links in a loop that could move alone if all were rigid, as a rod between two spherical joints
-    about its own axis; start: what the start of a simulation holds.
+    about its own axis; start: what the start of a simulation holds; reactions: of planar rigid loops a sentence on the
+    loads across their plane that nobody asked for.
     """
 
     coordinates: int
@@ -73,6 +76,7 @@ class Structure(NamedTuple):
     gap: float
     idle: tuple[str, ...] = ()
     start: StartHeld = StartHeld(AS_GIVEN, (), (), ())
+    reactions: str = ""
 
 
 def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | None = None) -> Model:
@@ -98,10 +102,16 @@ def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | No
     structure = describe(model)
     topology = with_start_freedoms(_with_idle(model), _rates_given(model, mechanism))
     model = dataclasses.replace(model, topology=topology)
+    if structure.redundant and mechanism.redundant_reactions == PLANAR and (across := reactions_across(model)):
+        topology, length = (
+            model.topology._replace(minimum_norm=True, across=across),
+            reaction_length(parts_of(mechanism)),
+        )
+        model = dataclasses.replace(model, topology=topology, reaction_length=length)
     if structure.redundant and not model.topology.minimum_norm:
         locks = "" if structure.rigid_mobility else " Nothing moves: with rigid links its joints lock (mobility 0)."
         raise InputError(
-            f"Argument `mechanism` must have unique joint reactions, but its "
+            "Argument `mechanism` must have unique joint reactions, but its "
             f"{structure.constraints} closure equations have rank {structure.rank}: rigid loops with "
             "parallel axes or slides are statically indeterminate. Make one link of each loop flexible between its "
             "joints of the loop, give joints of each loop a compliance or a freer kind, or set redundant_reactions = "
@@ -213,6 +223,7 @@ def describe(model: Model) -> Structure:
         gap=float(np.abs(residual).max(initial=0.0) * np.max(np.asarray(model.length))),
         idle=tuple(dict.fromkeys(_idle_coordinates(model).values())),
         start=start_held(model.topology),
+        reactions=model_reactions_text(model),
     )
 
 

@@ -22,6 +22,7 @@ from rfem_jax.description.basics.units import quantity
 from rfem_jax.description.tolerances.error_catalogue import error_dimension
 from rfem_jax.mechanics.algebra.reordering import rows
 from rfem_jax.mechanics.model.model import Model, Topology
+from rfem_jax.mechanics.model.planar_loops import require_closable
 
 HALF_TURN = np.pi * (1.0 + 1e-12)  # rad
 
@@ -75,6 +76,7 @@ def assembly_errors(model: Model, values: Mapping[str, ArrayLike | str] | None =
         "twist": np.zeros(n_links),
     }
     traced, deviations = [], {}
+    _require_closable(model, values or {})
     for name, value in (values or {}).items():
         _require_number(name, value)
         if name not in topology.error_names and model.source is not None and name in model.source.blueprint.names:
@@ -96,6 +98,14 @@ def assembly_errors(model: Model, values: Mapping[str, ArrayLike | str] | None =
     )  # fmt: skip
     errors = _insert(errors, *zip(*traced)) if traced else errors
     return dataclasses.replace(errors, parameters=deviations) if deviations else errors
+
+
+def _require_closable(model: Model, values: Mapping[str, ArrayLike | str]) -> None:
+    """Raise InputError for traced errors that open planar loops of rigid links across their plane."""
+    names = [name for name, x in values.items() if isinstance(x, Tracer)] if model.topology.across else []
+    parameters = {} if model.source is None else model.source.blueprint.names
+    numbers = [parameters[name].full for name in names if name in parameters]
+    require_closable(model, [*(name for name in names if name in model.topology.error_names), *numbers], "errors")
 
 
 Errors = AssemblyErrors | Mapping[str, ArrayLike | str]  # or by their names [rad, m, or strings with a unit]

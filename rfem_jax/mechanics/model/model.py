@@ -97,6 +97,8 @@ class Topology(NamedTuple):
     rated: joint coordinates with initial rates, in the array `Model.start_rates`.
     redundant: number of the closure equations that say nothing new at the start.
     massless: links without mass, which can only be at rest.
+    across: what the loads across the plane of planar rigid loops are where nothing else was asked for
+        (`planar_loops.reactions_across`), "" for other mechanisms.
     """
 
     links: tuple[str, ...]
@@ -124,6 +126,7 @@ class Topology(NamedTuple):
     rated: tuple[int, ...] = ()
     redundant: int = 0
     massless: tuple[int, ...] = ()
+    across: str = ""
 
     def renamed(self, names: Names) -> "Topology":
         """With other names."""

@@ -9,6 +9,7 @@ axis, but not on a bearing's length.
 """
 
 import numpy as np
+from jaxtyping import Float
 
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.mechanics.laws.friction_laws import Friction
@@ -33,9 +34,11 @@ def require_unique_normal_loads(model: Model) -> None:
         return
     geometry = geometry_of(model)
     placed = place(geometry, np.asarray(model.start_joints))
-    for multipliers in null_space(closure_jacobian(geometry, placed, rigid=False).T).T:
+    multipliers = null_space(closure_jacobian(geometry, placed, rigid=False).T)
+    forces, moments = joint_wrenches(geometry, placed, multipliers)
+    for force, moment in zip(np.moveaxis(forces, 2, 0), np.moveaxis(moments, 2, 0), strict=True):
         for name, law in loaded.items():
-            if _pressing(geometry, placed, law, multipliers) > UNIQUE:
+            if _pressing(placed, law, force[law.joint], moment[law.joint]) > UNIQUE:
                 also = ", leave out `length`" if law.load is not None and law.load.length is not None else ""
                 raise InputError(
                     f"Argument `coefficient` of force `{name}` must multiply a normal load that is unique, but "
@@ -44,20 +47,30 @@ def require_unique_normal_loads(model: Model) -> None:
                 )
 
 
-def _pressing(geometry: NominalGeometry, placed: Placed, law: Friction, multipliers: np.ndarray) -> float:
-    """Largest part of redundant reactions that presses a joint, a force over the norm of the reactions."""
-    topology, wrench, stop = geometry.topology, np.zeros(6), 0
+def joint_wrenches(
+    geometry: NominalGeometry, placed: Placed, multipliers: Float[np.ndarray, "multipliers k"]
+) -> tuple[Float[np.ndarray, "joints 3 k"], Float[np.ndarray, "joints 3 k"]]:
+    """Forces, and moments about the joints' centres on the child over the longest link, that columns of multipliers
+    alone exert in all joints."""
+    topology, stop = geometry.topology, 0
+    wrenches = np.zeros((len(topology.joints), 6, multipliers.shape[1]))
     sides = closure_rows(geometry, placed, rigid=False)
     for joint, (left, right) in zip(topology.cuts, sides, strict=True):
         start, stop = stop, stop + len(left)
         for node, on_side in ((topology.parents[joint], left), (topology.children[joint], right)):
-            if joint == law.joint and node == topology.children[joint]:
-                wrench = wrench + on_side.T @ multipliers[start:stop]
-            if law.coordinate is not None and _is_outboard(topology, node, law.joint):
-                wrench = wrench - on_side.T @ multipliers[start:stop]
-    # Rows of forces are over the scale.
-    force = wrench[3:] * geometry.scale
-    moment = wrench[:3] - np.cross(placed.child_centre[law.joint], wrench[3:])
+            wrench = on_side.T @ multipliers[start:stop]
+            if node == topology.children[joint]:
+                wrenches[joint] += wrench
+            for l in range(topology.n_links):
+                if _is_outboard(topology, node, l):
+                    wrenches[l] -= wrench
+    moment = wrenches[:, :3] - np.cross(placed.child_centre[:, :, None], wrenches[:, 3:], axis=1)
+    # Rows of forces are over the scale, those of moments are not.
+    return wrenches[:, 3:] * geometry.scale, moment
+
+
+def _pressing(placed: Placed, law: Friction, force: np.ndarray, moment: np.ndarray) -> float:
+    """Largest part of redundant reactions that presses a joint, a force over the norm of the reactions."""
     axis = placed.joint_rotation[law.joint][:, law.axis]
     across = [force - axis * (axis @ force)]
     if law.load is not None and law.load.length is not None:

@@ -37,6 +37,7 @@ from rfem_jax.mechanics.model.building import PartStructure, arrays_of
 from rfem_jax.mechanics.model.discretisation import discretise
 from rfem_jax.mechanics.model.errors import AssemblyErrors, assembly_errors, require_errors_of, require_possible
 from rfem_jax.mechanics.model.model import BASE, Model, Topology, rfe_fractions
+from rfem_jax.mechanics.model.planar_loops import require_closable
 from rfem_jax.mechanics.model.sources import NOTHING, Blueprint, Source
 from rfem_jax.mechanics.model.status import DESIGN_OUT_OF_RANGE, NOT_CLOSED, OK, STATUS
 from rfem_jax.mechanics.statics.start_closure import close_start
@@ -96,6 +97,7 @@ def design(model: Model, values: Mapping[str, ArrayLike | str]) -> Design:
         used.append(parameter)
         found[parameter.full] = _scalar(value, parameter.read, where)
     require_each_once(used, "design")
+    require_closable(model, [name for name, value in found.items() if isinstance(value, Tracer)], "design")
     return Design(found, drives)
 
 

@@ -16,6 +16,7 @@ from rfem_jax.description.study_file.study import Study
 from rfem_jax.mechanics.forces.bush_contacts import CLOSED, CONTACT_NAMES, carrying
 from rfem_jax.mechanics.model.errors import AssemblyErrors
 from rfem_jax.mechanics.model.model import Model
+from rfem_jax.mechanics.model.planar_loops import model_reactions_text
 from rfem_jax.mechanics.model.status import STATUS
 from rfem_jax.report.analyses.analysis import errors_of_cases, write_analysis
 from rfem_jax.report.annotations import Figure
@@ -27,6 +28,7 @@ from rfem_jax.report.summary import in_legend, joint_names, marked
 from rfem_jax.report.tables import format_table, title_text
 from rfem_jax.simulation.remarks import linear_remark
 from rfem_jax.simulation.turn import ClosedPose, Turn, closed_poses, turn_over
+from rfem_jax.text_layout import wrap_lines
 
 
 def compute_turn(study: Study, model: Model, positions: Float[np.ndarray, " positions"], axes: str = "joint") -> Turn:
@@ -168,6 +170,8 @@ def turn_text(study: Study, model: Model, turn: Turn) -> str:
         if remark := linear_remark(_linear_error(turn, c)):
             text += f"\nOver this range {remark}"
         parts.append(text)
+    if sentence := model_reactions_text(model):
+        parts.append(wrap_lines(sentence))
     return "\n\n".join(parts)
 
 

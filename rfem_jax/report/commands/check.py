@@ -12,7 +12,17 @@ from rfem_jax.report.commands.command import Answer, Command, add_cache, add_stu
 from rfem_jax.report.commands.steps import announce, discretise_study, read_study, settle_method
 from rfem_jax.report.progress_line import show
 
-STRUCTURE = ("coordinates", "constraints", "rank", "mobility", "rigid_mobility", "redundant", "gap", "idle")
+STRUCTURE = (
+    "coordinates",
+    "constraints",
+    "rank",
+    "mobility",
+    "rigid_mobility",
+    "redundant",
+    "gap",
+    "idle",
+    "reactions",
+)
 
 
 def command() -> Command:

@@ -19,7 +19,7 @@ from rfem_jax.description.basics.errors import InputError, require_choice
 from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.description.tasks.settings import MOST_SAMPLES, whole_number
 from rfem_jax.labelled_data import Arrays, Labelled, LabelledResult, Parts, Table, column_name, named_dimension
-from rfem_jax.tolerancing.checks import ErrorValue, ErrorValues, check_known, error_value
+from rfem_jax.tolerancing.checks import ErrorValue, ErrorValues, check_variables, error_value
 from rfem_jax.tolerancing.designs.response_surface import ResponseSurface, fit_response_surface
 from rfem_jax.tolerancing.layout import show_error, show_number
 from rfem_jax.tolerancing.problems.distributions import DISTRIBUTIONS
@@ -267,7 +267,7 @@ def _read_bounds(problem: ToleranceProblem, bounds: Bounds) -> tuple[tuple[str, 
             f"Argument `bounds` must map errors to (low, high), but it is {bounds!r}; "
             'write {"D.delta_x": ("-0.5 deg", "0.5 deg")}.'
         )
-    check_known(bounds, problem.error_names, "bounds")
+    check_variables(bounds, problem, "bounds")
     ends = []
     for name, pair in bounds.items():
         if not isinstance(pair, (tuple, list)) or len(pair) != 2:

@@ -25,6 +25,7 @@ from rfem_jax.description.basics.errors import InputError, suggestion
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tolerances.tolerances import SpecifiedTolerances
 from rfem_jax.description.tolerances.zones import CHARACTERISTICS, SpecifiedZone, is_zone
+from rfem_jax.tolerancing.checks import check_variables
 from rfem_jax.tolerancing.optimisation.starting_points import Region, spread_points
 from rfem_jax.tolerancing.problems.distributions import Tolerance, Uniform
 from rfem_jax.tolerancing.problems.joint_distributions import Zone
@@ -136,6 +137,7 @@ def sizes_of(problem: ToleranceProblem, names: Collection[str], zones: Zones | N
         if name not in alone
     }
     sizes = Sizes(tuple(alone), found)
+    check_variables([name for name in sizes.errors if name in problem.error_names], problem, what)
     for name in sizes.errors:
         if name not in problem.error_names:
             owner = next((zone for zone, one in found.items() if name in one.names), name)

@@ -22,7 +22,7 @@ from jaxtyping import Array, Float, Int, Shaped
 
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.kernels import expecting
-from rfem_jax.tolerancing.checks import ErrorValues, check_known, error_value
+from rfem_jax.tolerancing.checks import ErrorValues, check_known, check_variables, error_value
 from rfem_jax.tolerancing.problems.kept_evaluations import remembered
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.problem import Metric, ToleranceProblem, values_form
@@ -50,7 +50,7 @@ def select_half_widths(
             f"Argument `{what}` must be a Tolerances collection or a mapping from names of errors to half-widths, "
             f"but it is {widths!r}."
         )
-    check_known(widths, problem.error_names, what)
+    check_variables(widths, problem, what)
     if isinstance(tolerances, Tolerances):
         tolerances.require_units(problem)
     values = np.array(

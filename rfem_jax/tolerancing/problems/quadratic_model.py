@@ -27,7 +27,7 @@ from jaxtyping import Array, Float, Int
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.basics.precision import require_float64
-from rfem_jax.tolerancing.checks import ErrorValues, check_known
+from rfem_jax.tolerancing.checks import ErrorValues, check_variables
 from rfem_jax.tolerancing.problems.evaluation import (
     select_half_widths,
     split_errors,
@@ -189,7 +189,7 @@ def plan_expansion(
     require_float64()
     problem = problems[0]
     names = tuple(problem.error_names if names is None else names)
-    check_known(names, problem.error_names, "names")
+    check_variables(names, problem, "names")
     if not names:
         raise InputError("Argument `names` must name at least one error, but it is empty.")
     if order not in (1, 2):

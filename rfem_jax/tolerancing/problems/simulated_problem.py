@@ -33,6 +33,7 @@ from rfem_jax.description.metrics.subjects import (
 from rfem_jax.description.tolerances.error_catalogue import error_unit
 from rfem_jax.mechanics.model.errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.model.model import Model
+from rfem_jax.mechanics.model.planar_loops import require_closable
 from rfem_jax.mechanics.model.status import PAST_LIMIT, STATUS
 from rfem_jax.mechanics.statics.designs import Design, Designed, NamedValue, designed, parameters
 from rfem_jax.simulation.conclusion import run_of_design
@@ -176,6 +177,14 @@ class Problem(eqx.Module):
             return float(self._drive_numbers.get(name, 0.0))
         set_to = {} if self.design is None else self.design.values
         return float(set_to.get(known.full, known.value))
+
+    def require_closable(self, names: Iterable[str], what: str) -> None:
+        """Raise InputError for an error that opens a planar loop of rigid links across its plane; `what`: the argument
+        that names it."""
+        known = self._parameters if self.model.topology.across else {}
+        errors = self.model.topology.error_names
+        full = [name if name in errors else known[name].full for name in names if name in errors or name in known]
+        require_closable(self.model, full, what)
 
     @property
     def records(self) -> tuple[str, ...]:

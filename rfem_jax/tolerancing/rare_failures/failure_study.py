@@ -21,7 +21,7 @@ from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.settings import whole_number
-from rfem_jax.tolerancing.checks import check_known, read_limits
+from rfem_jax.tolerancing.checks import check_variables, read_limits
 from rfem_jax.tolerancing.problems.linearisation import choose_mode
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances, distributions_of
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
@@ -82,7 +82,7 @@ def reliability(
     tolerances = distributions_of(tolerances)
     if not isinstance(tolerances, Tolerances):
         raise InputError(f"Argument `tolerances` must be a Tolerances collection, but it is {tolerances!r}.")
-    check_known(tolerances.names, problem.error_names, "tolerances")
+    check_variables(tolerances.names, problem, "tolerances")
     tolerances.require_units(problem)
     states = _limit_states(problem, limits)
     whole_number(n, "n", FEWEST)

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.description.basics.errors import InputError
-from rfem_jax.tolerancing.checks import ErrorValue, ErrorValues, check_known, error_value, read_limits
+from rfem_jax.tolerancing.checks import ErrorValue, ErrorValues, check_variables, error_value, read_limits
 from rfem_jax.tolerancing.layout import show_number
 from rfem_jax.tolerancing.optimisation.sizes import Sizes, Zones, sizes_of
 from rfem_jax.tolerancing.problems.evaluation import metric_index, read_point, split_errors
@@ -187,7 +187,7 @@ def _variables(problem, designs, tolerances, robust, zones) -> Variables:
             f'Argument `designs` must map names to (lowest, highest), but it is {designs!r}; write {{"bar.height": '
             "(0.006, 0.012)}."
         )
-    check_known(designs, problem.error_names, "designs")
+    check_variables(designs, problem, "designs")
     bounds = [_pair(problem.error_unit(name), name, pair, "designs") for name, pair in designs.items()]
     for name, (low, high) in zip(designs, bounds, strict=True):
         if not (np.isfinite(low) and np.isfinite(high) and low < high):

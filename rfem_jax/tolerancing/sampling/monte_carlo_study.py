@@ -28,7 +28,7 @@ from rfem_jax.description.basics.errors import InputError, require_flag
 from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.settings import whole_number
-from rfem_jax.tolerancing.checks import check_known, read_limits
+from rfem_jax.tolerancing.checks import check_known, check_variables, read_limits
 from rfem_jax.tolerancing.problems.evaluation import describe_status
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances, distributions_of
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
@@ -353,5 +353,5 @@ def _check_tolerances(problem, tolerances) -> None:
             f"Argument `tolerances` must be a Tolerances collection, but it is {tolerances!r}; "
             'write Tolerances({"D.delta_x": Uniform(0.01)}).'
         )
-    check_known(tolerances.names, problem.error_names, "tolerances")
+    check_variables(tolerances.names, problem, "tolerances")
     tolerances.require_units(problem)
