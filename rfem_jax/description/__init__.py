@@ -42,6 +42,7 @@ from rfem_jax.description.drives.translations import (
 from rfem_jax.description.mechanism.bearings import Bearing
 from rfem_jax.description.mechanism.clearance import Clearance
 from rfem_jax.description.mechanism.compliance import Compliance
+from rfem_jax.description.mechanism.couplings import Coupling
 from rfem_jax.description.mechanism.forces import JointForceFunction, JointForceTable, JointFriction, JointSpring
 from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.links import Link, PointMass
@@ -84,6 +85,7 @@ __all__ = [
     "Circle",
     "Clearance",
     "Compliance",
+    "Coupling",
     "Explicit",
     "FixedStep",
     "ForceDrive",

@@ -32,6 +32,7 @@ from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.basics.joint_kinds import COMPONENTS, KINDS, Freedom, JointKind, compliant
 from rfem_jax.description.drives.driven_motions import motion_label
 from rfem_jax.mechanics.laws.bearings import BearingCapacity
+from rfem_jax.mechanics.laws.couplings import CouplingLaw
 from rfem_jax.mechanics.laws.frame_forces import FrameForce
 from rfem_jax.mechanics.laws.friction_laws import Friction
 from rfem_jax.mechanics.laws.joint_laws import JointLaw
@@ -386,7 +387,8 @@ class Model(eqx.Module):
     which those of `Topology.rated` count, likewise; frame_forces: elements between frames on nodes, likewise; springs:
     of compliant joints, by the names of joint and direction as "A.radial", likewise; bearings: what they carry, by
     joint, likewise; reaction_length [m]: over which moments count in the norm of reactions, None unless the least are
-    asked for; points: whose paths are followed, by their names, None without any.
+    asked for; points: whose paths are followed, by their names, None without any; couplings: of joint coordinates,
+    likewise.
 
     Numbers of the description change by a `rfem_jax.design`, from which all arrays follow.  `equinox.tree_at` may
     replace what is no number of a description and leaves the geometry as it is, such as the stiffnesses of one link of
@@ -417,11 +419,14 @@ class Model(eqx.Module):
     start_rates: Float[Array, " freedoms"] | None = None
     reaction_length: Float[Array, ""] | None = None
     points: dict[str, CarriedPoint] | None = None
+    couplings: dict[str, CouplingLaw] | None = None
 
     @property
     def own_names(self) -> tuple[str, ...]:
         """Names of all its things, which are no part of programs (`compilation.naming`)."""
-        forces = (name for part in (self.forces, self.friction, self.frame_forces) for name in part or {})
+        forces = (
+            name for part in (self.forces, self.friction, self.frame_forces, self.couplings) for name in part or {}
+        )
         others = () if self.source is None else self.source.own_names
         forces = (one.partition(".")[0] for one in forces)
         return (*self.topology.joints, *self.topology.links, *forces, *(self.points or {}), *others)
