@@ -1,5 +1,8 @@
 """Couplings of two joint coordinates: what is described, what is refused, and in study files."""
 
+import tomllib
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -156,3 +159,10 @@ def test_couplings_of_a_study_file(tmp_path):
 def test_mistakes_in_a_study_file_are_named(refused, tmp_path, old, new, pieces):
     with refused(*pieces):
         study_with(COUPLINGS.replace(old, new, 1), tmp_path)
+
+
+def test_the_guide_has_a_coupling():
+    """Its block is read as it is written there."""
+    guide = (Path(__file__).parents[2] / "docs" / "guides" / "own_mechanism.md").read_text(encoding="utf-8")
+    block = guide.split("```toml\n[[mechanism.couplings]]\n")[1].split("```")[0]
+    assert Coupling(**tomllib.loads(block)).name == "mesh"
