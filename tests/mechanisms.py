@@ -7,6 +7,7 @@ import numpy as np
 
 from rfem_jax import (
     Compliance,
+    Coupling,
     DistributedForce,
     GivenSection,
     Joint,
@@ -199,6 +200,20 @@ def chain_with_forces():
         JointSpring("planar", "L", stiffness=40.0, preload=-2.0, motion="T_x"),
         JointForceFunction("turn", "R", law),
     ]
+    return dataclasses.replace(chain_of_kinds(), forces=forces)
+
+
+def chain_with_couplings():
+    """`chain_of_kinds` with couplings: of two joints by a ratio with errors, in one joint, and by a table with flanks
+    and a play."""
+    forces = [
+        Coupling("rack", ("A", "P"), ratio=0.1, stiffness=4e3, damping=3.0, eccentricity=2e-3, waves=3.0,
+                 pitch_error=0.02),
+        Coupling("screw", ("C", "C"), motions=("R_y", "T_y"), ratio=0.05, stiffness=9e2, damping=2.0, offset=0.01),
+        Coupling("cam", ("R", "U"), motions=("R_y", "R_z"), positions=[-4.0, -1.0, 0.5, 1.0, 4.0],
+                 values=[0.3, 0.6, 0.1, -0.4, 0.2], stiffness=20.0, backlash=0.02, contact_damping=0.1, exponent=1.5,
+                 offset=-0.6),
+    ]  # fmt: skip
     return dataclasses.replace(chain_of_kinds(), forces=forces)
 
 

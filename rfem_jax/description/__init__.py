@@ -42,6 +42,7 @@ from rfem_jax.description.drives.translations import (
 from rfem_jax.description.mechanism.bearings import Bearing
 from rfem_jax.description.mechanism.clearance import Clearance
 from rfem_jax.description.mechanism.compliance import Compliance
+from rfem_jax.description.mechanism.couplings import Coupling
 from rfem_jax.description.mechanism.distributed_forces import DistributedForce
 from rfem_jax.description.mechanism.forces import JointForceFunction, JointForceTable, JointFriction, JointSpring
 from rfem_jax.description.mechanism.joints import Joint
@@ -86,6 +87,7 @@ __all__ = [
     "Circle",
     "Clearance",
     "Compliance",
+    "Coupling",
     "DistributedForce",
     "Explicit",
     "FixedStep",

@@ -12,7 +12,8 @@ of all the forces at points in global axes: `coil_length_m`, `coil_tension_N` of
 `twist_moment_x_Nm` ... of others; of points whose paths are followed `P_x_m`, `P_velocity_x_m_s`,
 `P_acceleration_x_m_s2` and `P_angle_x_rad` ...; and the energy that every friction has dissipated,
 `bearing_dissipation_J`; of joints with clearance `D_penetration_start_m`, `..._end_m`, `..._axial_m` (below zero a
-gap) and `D_contact_force_start_N` ...; where the study asks for it, what the mechanism exerts on its base,
+gap) and `D_contact_force_start_N` ...; of couplings `mesh_first_moment_Nm`, `mesh_second_force_N`, along their two
+coordinates, and `mesh_deflection_m`; where the study asks for it, what the mechanism exerts on its base,
 `shaking_force_x_N` ... `shaking_moment_z_Nm` in global axes; and with `--axes` the loads of all joints in other axes,
 `A_force_global_x_N` ...
 """
@@ -91,7 +92,7 @@ def history_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " tim
     losses |= {column_name(f"{joint}_contact_loss", "J"): np.asarray(x) for joint, x in run.contact_losses.items()}
     return (
         columns | _coordinate_columns(study, run) | _point_columns(study, run) | path_columns(run) | losses
-        | contact_columns(run.contacts) | shaking_columns(run)
+        | contact_columns(run.contacts) | _coupling_columns(study, run) | shaking_columns(run)
     )  # fmt: skip
 
 
@@ -133,6 +134,19 @@ def path_columns(run: Run) -> dict[str, Float[np.ndarray, " times"]]:
         ):
             for axis, one in zip("xyz", np.asarray(values).T, strict=True):
                 columns[column_name(f"{name}_{what}{axis}", unit)] = one
+    return columns
+
+
+def _coupling_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " times"]]:
+    """Loads along the two coordinates of every coupling, and the deflection of its mesh at the second one."""
+    columns = {}
+    for coupling in study.mechanism.couplings:
+        history = run.couplings[coupling.name]
+        for side, turns, values in zip(("first", "second"), coupling.turns, np.asarray(history.loads).T, strict=True):
+            what, unit = ("moment", "N m") if turns else ("force", "N")
+            columns[column_name(f"{coupling.name}_{side}_{what}", unit)] = values
+        unit = "rad" if coupling.turns[1] else "m"
+        columns[column_name(f"{coupling.name}_deflection", unit)] = np.asarray(history.deflection)
     return columns
 
 

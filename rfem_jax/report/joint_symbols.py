@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.description.basics.joint_kinds import KINDS
+from rfem_jax.description.mechanism.couplings import Coupling
 from rfem_jax.description.mechanism.forces import JointForce, JointForceTable, JointSpring
 from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.mechanism import Mechanism
@@ -239,6 +240,6 @@ def legend_handles(mechanism: Mechanism) -> list[Any]:
         found.append(Line2D([], [], label="compliant", **_bushing()))
     if any(isinstance(force, JointSpring) for force in mechanism.forces):
         found.append(Line2D([], [], label="spring, damper", **SPRING))
-    if any(not isinstance(force, JointSpring) for force in mechanism.forces):
+    if any(not isinstance(force, (JointSpring, Coupling)) for force in mechanism.forces):
         found.append(Line2D([], [], label="force", color=FORCE, linewidth=1.8, marker=">", markersize=6))
     return found

@@ -12,6 +12,7 @@ from typing import Any
 from rfem_jax.description.basics.joint_kinds import KINDS
 from rfem_jax.description.drives.driven_motions import AnyDrive
 from rfem_jax.description.drives.numbers_by_name import drive_number_names, drive_number_unit, drive_number_value
+from rfem_jax.description.mechanism.couplings import Coupling
 from rfem_jax.description.mechanism.distributed_forces import DistributedForce
 from rfem_jax.description.mechanism.forces import Force, JointForce, JointForceTable, JointFriction
 from rfem_jax.description.mechanism.joints import Joint
@@ -140,9 +141,19 @@ def _forces_text(mechanism: Mechanism) -> str:
             numbers = [f"{len(force.positions)} rows"]
             numbers += [f"{name} {values[0]:g} to {values[-1]:g}" for name, values in columns.items()]
         size = f" (SI: {', '.join(numbers)})" if numbers else ""
+        if isinstance(force, Coupling):
+            lines.append(_coupling_text(force, size))
+            continue
         where = f"on joint {force.joint}, {force.motion}" if isinstance(force, JointForce) else _points_text(force)
         lines.append(f"Force {force.name}: {_words(force)} {where}{size}.\n")
     return "".join(lines)
+
+
+def _coupling_text(coupling: Coupling, size: str) -> str:
+    assert coupling.motions is not None, "a mechanism names the motions"
+    ends = " and ".join(f"{joint}, {motion}" for joint, motion in zip(coupling.joints, coupling.motions))
+    kind = "ratio" if coupling.positions is None else f"table of {len(coupling.positions)} rows"
+    return f"Coupling {coupling.name}: of joints {ends}, by a {kind}{size}.\n"
 
 
 def _points_text(force: Force) -> str:

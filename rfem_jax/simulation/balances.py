@@ -114,13 +114,13 @@ def force_scale(
     shortest: Float[Array, ""],
 ) -> Float[Array, ""]:
     """Force [N] with which residual forces are compared: the largest joint force. It is at least the largest RMS moment
-    over the longest link with friction, which may be the only load; the kinetic energy over that link with free links,
-    whose joints carry no load; and the effect of rounding in the `shortest` step [s]."""
+    over the longest link with friction, which may be the only load; the kinetic energy over that link with free links
+    or couplings, whose joints may carry no load; and the effect of rounding in the `shortest` step [s]."""
     mean_square = jnp.max(carry.trajectory.integrals.moment_square) / duration
     largest = force_or_moment(model, largest_force(carry), equations.safe_sqrt(mean_square))
     if carry.memory is not None:
         largest = jnp.maximum(largest, rounding_force(actual, length_scale(model), shortest))
-    if "free" not in model.topology.kinds:
+    if "free" not in model.topology.kinds and model.couplings is None:
         return largest
     return jnp.maximum(largest, jnp.max(energy.kinetic) / length_scale(model))
 

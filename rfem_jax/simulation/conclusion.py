@@ -136,6 +136,7 @@ def _named_results(model: Model, conclusion: Conclusion) -> Run:
         contact_losses=_clearance_histories(model, record.contact_losses),
         contact_changes=conclusion.contact_changes,
         points={name: PointPath.of(one) for name, one in record.points.items()},
+        couplings=record.couplings,
         recorded=conclusion.recorded,
     )
 

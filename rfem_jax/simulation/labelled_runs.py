@@ -6,8 +6,8 @@ Place in the pipeline: `Run.to_xarray`, `Run.to_pandas` and `Run._repr_html_`, a
 Dimensions: `case` (of a batch), `time`, `joint`, `component` (x, y, z of the joint's frame H, of global axes for link
 ends and forces at points); `pin` (of joints with clearance), its `contact` (start, end, axial), `pin_end` and
 `direction` (x, z of the bush); `rotation` and `translation` for driven coordinates, `angle` and `displacement` for the
-coordinates of the tree joints, `link`, `point`, `cut_joint`, `friction`, `force_at_points`, `followed_point`. What a
-mechanism does not have is left out.
+coordinates of the tree joints, `link`, `point`, `cut_joint`, `friction`, `force_at_points`, `followed_point`;
+`coupling`, and of its two coordinates `coupled` (first, second). What a mechanism does not have is left out.
 """
 
 from collections.abc import Mapping, Sequence
@@ -73,6 +73,7 @@ def run_dataset(run: Run, cases: Sequence[str] | None = None, axes: str = "joint
     _add_paths(variables, coordinates, run, before)
     _add_contacts(variables, coordinates, run, before)
     _add_shaking(variables, run, before)
+    _add_couplings(variables, coordinates, run, before)
     _add_lines(variables, coordinates, run, before)
     for one in (*CHECKS, HINGE_MOMENT_ERROR):
         variables[one.name] = _labelled(one, before, getattr(run.checks, one.name))
@@ -235,6 +236,20 @@ def _add_shaking(variables, run, before) -> None:
         about = "" if load == "force" else ", about `shaking_point`"
         meaning = f"{load} of the mechanism on its base{about}, global axes"
         variables[f"{RECORD}_{load}"] = Labelled(dims, getattr(recorded, load), unit, meaning)
+
+
+def _add_couplings(variables, coordinates, run, before) -> None:
+    """Loads of couplings along their two coordinates, of which each may be a moment or a force."""
+    if not run.couplings:
+        return
+    coordinates |= {"coupling": list(run.couplings), "coupled": ("first", "second")}
+    over, at, histories = (*before, "time", "coupling"), len(before) + 1, list(run.couplings.values())
+    loads = _stack([one.loads for one in histories], at)
+    meaning = "load along a coupled coordinate, on the child of its joint"
+    variables["coupling_load"] = Labelled((*over, "coupled"), loads, "N m or N", meaning)
+    deflections = _stack([one.deflection for one in histories], at)
+    meaning = "deflection of a mesh at its second coordinate"
+    variables["coupling_deflection"] = Labelled(over, deflections, "rad or m", meaning)
 
 
 def _add_lines(variables, coordinates, run, before) -> None:

@@ -29,7 +29,7 @@ from rfem_jax.mechanics.model.model import Coordinates, State, Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.equations import Integrals
-from rfem_jax.simulation.run import Energy, PointHistory
+from rfem_jax.simulation.run import CouplingHistory, Energy, PointHistory
 
 
 class Instant(NamedTuple):
@@ -73,7 +73,8 @@ class Record(NamedTuple):
     `linear_validity.linear_range`; square_integrals: of the resultant force
     and moment [N^2 s, (N m)^2 s]; squares: as of `equations.squared_loads`; friction_losses, contact_losses
     [J]: energy that every friction, every clearance has dissipated, None without any; asked: by the names of `records`;
-    contacts: of the joints with clearance; points: motions of the points whose paths are followed.
+    contacts: of the joints with clearance; points: motions of the points whose paths are followed; couplings: of
+    joint coordinates.
     """
 
     joints: Float[Array, " numbers"]
@@ -101,6 +102,7 @@ class Record(NamedTuple):
     asked: dict[str, Any]
     contacts: dict[str, ContactState]
     points: dict[str, PointMotion]
+    couplings: dict[str, CouplingHistory]
 
 
 def solved_instant(actual: ModelWithErrors, result: Accelerations, drive: DriveInput, scale: vectors.Scalar) -> Instant:
@@ -203,6 +205,7 @@ def observe(
             asked={},
             contacts=contact_states(actual, now),
             points=point_motions(actual, now, instant.angular, instant.linear),
+            couplings=_coupling_histories(instant.laws),
         )
 
 
@@ -218,6 +221,12 @@ def _point_histories(topology: Topology, at_nodes: FrameLoads | None) -> dict[st
     exerted = {} if at_nodes is None else at_nodes.exerted
     contacts = {clearance_name(topology.joints[j]) for j in topology.clearances}
     return {name: PointHistory(*one) for name, one in exerted.items() if name not in contacts}
+
+
+def _coupling_histories(laws: LawForces | None) -> dict[str, CouplingHistory]:
+    """Loads and deflections of the couplings, by their names."""
+    meshes = {} if laws is None else laws.couplings or {}
+    return {name: CouplingHistory(mesh.loads, mesh.deflection) for name, mesh in meshes.items()}
 
 
 def _load_along_free_motions(topology: Topology, instant: Instant, drive: DriveInput) -> Float[Array, ""]:

@@ -232,6 +232,15 @@ class PointHistory(eqx.Module):
         return -jnp.sum(self.force * apart, axis=-1) / jnp.linalg.norm(apart, axis=-1)
 
 
+class CouplingHistory(eqx.Module):
+    """A coupling at the saved times: loads along its two coordinates [N m about an axis, N along one], of the parent on
+    the child of each joint; deflection [rad, m] of the second coordinate from where the mesh, with its errors, is
+    without load."""
+
+    loads: Float[Numbers, "*times 2"]
+    deflection: Float[Numbers, "*times"]
+
+
 class PointPath(eqx.Module):
     """The path of a point at the saved times: position [m], velocity [m/s], acceleration [m/s^2]; rotation of its link
     there and angular velocity [rad/s]; seen from the link that it is relative to, in that link's axes, or else in
@@ -271,7 +280,8 @@ class Run(eqx.Module):
     the names of the joints with clearance; contact_losses: energy (times,) [J] that their contacts have dissipated, by
     the joints; contact_changes: how often any of them has closed or opened, None where steps did not follow them.
 
-    points: `PointPath` of every point of the description, by its name.
+    points: `PointPath` of every point of the description, couplings: `CouplingHistory` of every coupling, by their
+    names.
 
     recorded: what `simulate` was asked to record, by the names of `simulation.records`; model, errors: what was
     simulated.
@@ -292,6 +302,7 @@ class Run(eqx.Module):
     contact_losses: dict[str, Float[Numbers, " times"]] = eqx.field(default_factory=dict)
     contact_changes: Float[Numbers, ""] | None = None
     points: dict[str, "PointPath"] = eqx.field(default_factory=dict)
+    couplings: dict[str, CouplingHistory] = eqx.field(default_factory=dict)
     recorded: dict[str, Any] = eqx.field(default_factory=dict)
     model: Model | None = None
     errors: AssemblyErrors | None = None

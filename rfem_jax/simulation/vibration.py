@@ -29,6 +29,7 @@ from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, eigsh
 
 from rfem_jax.description.basics.joint_kinds import JointKind
+from rfem_jax.mechanics.laws.couplings import CouplingLaw
 from rfem_jax.mechanics.laws.frame_forces import START, FrameForce, Pose
 from rfem_jax.mechanics.laws.friction_laws import Friction
 from rfem_jax.mechanics.laws.joint_laws import JointLaw, law_derivatives
@@ -110,7 +111,9 @@ class Vibration:
         self.elements = [] if model.frame_forces is None else list(model.frame_forces.values())
         self.bearings = [] if model.springs is None else list(model.springs.values())
         elements = any(element.components for element in self.elements)
-        self.sprung = bool(self.forces) or bool(self.bearings) or elements
+        start = jnp.asarray(model.start_joints)
+        self.couplings = [one.starting_at(start) for one in (model.couplings or {}).values()]
+        self.sprung = bool(self.forces) or bool(self.bearings) or bool(self.couplings) or elements
 
     def modes(self, joints: Float[np.ndarray, " numbers"]) -> Modes:
         """The modes at a position of the joints, links undeformed."""
@@ -137,8 +140,9 @@ class Vibration:
         return Modes(np.append(modes.squares, largest[0]), np.append(modes.damping, largest[1]))
 
     def _joint_law_rows(self, joints: np.ndarray, placed: Placed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rows (laws, 6 n) that give the rates of joint coordinates with springs, dampers or laws from the velocities
-        L^T w of all nodes, with stiffness and damping at a position, zero where they are negative."""
+        """Rows (laws, 6 n) that give the rates of joint coordinates with springs, dampers or laws, and last of the
+        deflections of couplings, from the velocities L^T w of all nodes, with stiffness and damping at a position, zero
+        where they are negative."""
         laws = list(self.forces.values())
         readers = [self._reader(law, placed) for law in laws]
         tangents = [-np.array(law_derivatives(law, _position(law, joints), 0.0), float) for law in laws]
@@ -146,8 +150,20 @@ class Vibration:
             readers += [self._coordinate_reader(k, placed) for k in spring.coordinates]
             readers += [self._closure_reader(k, placed) for k in spring.rows]
         tangents += self._bearing_tangents
+        rows = [self._relative_rates(placed, readers)]
+        for coupling in self.couplings:
+            of_both = self._coordinate_rates(placed, coupling.coordinates)
+            direction, tangent = self._meshing_tangents(coupling, joints)
+            rows.append((direction @ of_both)[None])
+            tangents.append(tangent)
         stiffness, damping = np.maximum(np.array(tangents, float).reshape(-1, 2).T, 0.0)
-        return self._relative_rates(placed, readers) @ self.inverse_root, stiffness, damping
+        return np.concatenate(rows) @ self.inverse_root, stiffness, damping
+
+    def _meshing_tangents(self, coupling: CouplingLaw, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rates of the two coordinates in that of a coupling's deflection, and its stiffness and damping."""
+        at = jnp.asarray(joints[np.array(coupling.places)]), jnp.zeros(2)
+        found = [coupling.tangent(*at, *factors) for factors in ((1.0, 0.0), (0.0, 1.0))]
+        return np.asarray(found[0][0]), np.array([tangent for _, tangent in found])
 
     @cached_property
     def _bearing_tangents(self) -> list[np.ndarray]:
@@ -320,9 +336,13 @@ class Vibration:
         placed = place(self.geometry, joints)
         unloaded = self._joint_accelerations(joints, np.zeros(self.size))
         rows, _, dampings = self._joint_law_rows(joints, placed)
-        for law, row, damping in zip(self.forces.values(), rows, dampings, strict=True):
+        by_joints = [self._motion_rate_row(law, placed) for law in self.forces.values()]
+        for coupling in self.couplings:
+            of_both = np.eye(self.topology.n_freedoms)[list(coupling.coordinates)]
+            by_joints.append(self._meshing_tangents(coupling, joints)[0] @ of_both)
+        for of_joints, row, damping in zip(by_joints, rows, dampings, strict=True):
             response = self._joint_accelerations(joints, row) - unloaded
-            by_rate += np.outer(damping * response, self._motion_rate_row(law, placed))
+            by_rate += np.outer(damping * response, of_joints)
         velocities = self._unit_velocities(placed)
         for element in self.elements:
             for row, damping in zip(*self._principal(placed, element)[1], strict=True):
@@ -347,6 +367,9 @@ class Vibration:
         """Load (6 n,) of springs and laws at a position of rest, as `inverse_root` transforms it."""
         zero = jnp.zeros(())
         forces = [float(law.force(jnp.asarray(_position(law, joints)), zero)) for law in self.forces.values()]
+        for coupling in self.couplings:
+            mesh = coupling.meshing(jnp.asarray(joints[np.array(coupling.places)]), jnp.zeros(2))
+            forces.append(float(mesh.loads[1]))
         load = np.array(forces) @ self._joint_law_rows(joints, placed)[0] if forces else np.zeros(self.size)
         for element in self.elements:
             pose, rows = self._pose(placed, element)
@@ -360,7 +383,7 @@ class Vibration:
         n = topology.n_links
         falling = np.concatenate([np.zeros((n, 3)), placed.rotation.transpose(0, 2, 1) @ self.gravity], axis=1)
         load = self.inverse_root.T @ (self.mass @ falling.reshape(-1))
-        if self.forces or self.elements:
+        if self.forces or self.elements or self.couplings:
             load = load + (self._spring_load(joints, placed) if springs is None else springs)
         free = null_space_projection(sparse.csc_matrix(self._constraints(placed) @ self.inverse_root))(load)
         in_link = (self.inverse_root @ free).reshape(n, 2, 3)

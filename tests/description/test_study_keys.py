@@ -5,7 +5,7 @@ import tomllib
 
 import pytest
 
-from rfem_jax import load_study
+from rfem_jax import Coupling, load_study
 from rfem_jax.description.basics import tables
 from rfem_jax.description.study_file import force_reader, study, study_reader
 from rfem_jax.description.study_file.key_reference import NEEDED, argument_meanings, key_tables
@@ -15,6 +15,7 @@ from rfem_jax.description.tolerances import tolerances
 from .test_bearings import BEARING
 from .test_clearance import CLEARANCE
 from .test_compliance import COMPLIANCE
+from .test_couplings import COUPLINGS
 from .test_distributed_forces import LINES
 from .test_force_reader import IN_JOINTS, SPRINGS
 from .test_forces import FORCES
@@ -142,6 +143,7 @@ def asked(tmp_path, monkeypatch):
         full = full.replace('section = "own"\n', "body = {mass = 1, centre = [0, 0, 0], inertia = [1, 1, 1]}\n")
         start, end = full.index("[drive]"), full.index("[simulation]")
     study_reader.read_drives(tomllib.loads(SLIDES)["drives"])
+    tables.read_table(Coupling, tomllib.loads(COUPLINGS)["mechanism"]["couplings"][0], "[[mechanism.couplings]]")
     return found
 
 

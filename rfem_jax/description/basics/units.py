@@ -77,6 +77,9 @@ DIMENSIONS = {
     "damping": ((1, 0, -1, 0), "N s/m", "5 N s/m"),
     "rotational_damping": ((1, 2, -1, -1), "N m s/rad", "0.1 N m s/rad"),
     "contact_damping": ((0, -1, 1, 0), "s/m", "0.2 s/m"),
+    "rotational_contact_damping": ((0, 0, 1, -1), "s/rad", "0.2 s/rad"),
+    "length_per_angle": ((0, 1, 0, -1), "m/rad", "5 mm/rev"),
+    "angle_per_length": ((0, -1, 0, 1), "rad/m", "36 deg/mm"),
 }
 
 _KG, _M, _S, _RAD = (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)

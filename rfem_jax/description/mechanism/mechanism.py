@@ -26,6 +26,7 @@ from rfem_jax.description.basics.notebook_tables import mechanism_html
 from rfem_jax.description.basics.numbers import NumberTree, is_known, number_vector
 from rfem_jax.description.basics.units import positive_quantity
 from rfem_jax.description.drives.driven_motions import plain_motion
+from rfem_jax.description.mechanism.couplings import Coupling
 from rfem_jax.description.mechanism.forces import Force, JointForce, JointFriction
 from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.links import Link
@@ -64,7 +65,7 @@ class Mechanism(NumberTree, ChecksItself):
             own `start`).
         forces: JointSpring, JointFriction, JointForceTable and JointForceFunction objects along joints; PointSpring,
             PointSpringTable and PointSpringFunction objects between points of links, PointForce and PointMoment
-            objects at them, DistributedForce objects along links.
+            objects at them, DistributedForce objects along links; Coupling objects between two joint coordinates.
         reaction_length: length [m], > 0, over which moments count beside forces in the sum of squares of
             "minimum_norm"; None: that of the longest link.
         points: Point objects, whose paths runs follow.
@@ -172,6 +173,11 @@ class Mechanism(NumberTree, ChecksItself):
     def point_forces(self) -> tuple[PointLoad, ...]:
         """The forces at points of links, between them and along links."""
         return tuple(force for force in self.forces if isinstance(force, PointLoad))
+
+    @property
+    def couplings(self) -> tuple[Coupling, ...]:
+        """The couplings between joint coordinates."""
+        return tuple(force for force in self.forces if isinstance(force, Coupling))
 
     @property
     def norm_length(self) -> float | None:
@@ -324,29 +330,34 @@ class Mechanism(NumberTree, ChecksItself):
     def _resolve_forces(self) -> None:
         """Each force knows its joint's motions, or is at points that there are."""
         found, problems = [], Problems()
-        tree = [joint.name for joint in self.joints if not joint.cut]
         links = {link.name: link for link in self.links}
         for force in self.forces:
             with problems.noted():
                 if isinstance(force, PointLoad):
                     force.require_points(links)
+                if isinstance(force, Coupling):
+                    for joint in force.joints:
+                        self._require_tree_joint(joint, f"`joints` of coupling `{force.name}`")
+                    found.append(force.resolved(*map(self.joint, force.joints)))
+                    continue
                 if not isinstance(force, JointForce):
                     found.append(force)
                     continue
                 if isinstance(force, JointFriction) and force.joint in [joint.name for joint in self.cut_joints]:
                     found.append(force.resolved(self.joint(force.joint)))
                     continue
-                if force.joint not in tree:
-                    cut = force.joint in [joint.name for joint in self.joints]
-                    reason = "is cut" if cut else "is not a joint"
-                    fix = "cut another joint of the loop." if cut else suggestion(force.joint, tree)
-                    raise InputError(
-                        f"Argument `joint` of force `{force.name}` must be a joint of the tree, but `{force.joint}` "
-                        f"{reason}; {fix}"
-                    )
+                self._require_tree_joint(force.joint, f"`joint` of force `{force.name}`")
                 found.append(force.resolved(self.joint(force.joint)))
         problems.refuse()
         object.__setattr__(self, "forces", tuple(found))
+
+    def _require_tree_joint(self, name: str, where: str) -> None:
+        tree = [joint.name for joint in self.joints if not joint.cut]
+        if name not in tree:
+            cut = name in [joint.name for joint in self.joints]
+            reason = "is cut" if cut else "is not a joint"
+            fix = "cut another joint of the loop." if cut else suggestion(name, tree)
+            raise InputError(f"Argument {where} must be a joint of the tree, but `{name}` {reason}; {fix}")
 
     def _check_positions(self, joint: Joint, problems: Problems) -> None:
         """Note what lies off its flexible link; links that there are not are told elsewhere."""

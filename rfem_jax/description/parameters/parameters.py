@@ -21,6 +21,7 @@ from rfem_jax.description.basics.errors import InputError, subject, suggestion
 from rfem_jax.description.basics.joint_kinds import KINDS, Freedom
 from rfem_jax.description.basics.numbers import ANY, NOT_NEGATIVE, POSITIVE, Fields, read_number
 from rfem_jax.description.basics.units import DIMENSIONS
+from rfem_jax.description.mechanism.couplings import Coupling
 from rfem_jax.description.mechanism.forces import Force, JointForce, JointForceTable
 from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.links import Link
@@ -269,6 +270,8 @@ def _of_forces(parts: Parts) -> Iterator[Parameter]:
         yield from _fields(owner, force, _force_fields(force, parts), [path])
         if isinstance(force, (JointForceTable, PointSpringTable)):
             yield _parameter(owner, "factor", ("none", ANY), [(*path, "forces")], factor=True)
+        if isinstance(force, Coupling) and force.values is not None:
+            yield _parameter(owner, "factor", ("none", ANY), [(*path, "values")], factor=True)
         if isinstance(force, LoadOnLink):
             yield from _of_load(owner, force, path)
         if isinstance(force, BetweenPoints):
@@ -291,6 +294,8 @@ def _of_load(owner: tuple[str, str], force: LoadOnLink, path: Path) -> Iterator[
 
 def _force_fields(force: Force, parts: Parts) -> Fields:
     """Fields of a force that are numbers."""
+    if isinstance(force, Coupling):
+        return force.numbers_between
     if not isinstance(force, JointForce):
         return force.numbers
     joint = parts.joint(force.joint)

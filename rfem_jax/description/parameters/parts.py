@@ -94,7 +94,7 @@ def renamed_parts(parts: Parts, names: Any) -> Parts:
         for things, fields in (
             (parts.links, ("name",)),
             (parts.joints, ("name", "parent", "child")),
-            (parts.forces, ("name", "joint", "link", "links")),
+            (parts.forces, ("name", "joint", "joints", "link", "links")),
             (parts.points, ("name", "link", "relative_to")),
         )
     )

@@ -15,6 +15,7 @@ from rfem_jax.description.basics.tables import keys_of
 from rfem_jax.description.mechanism.bearings import Bearing
 from rfem_jax.description.mechanism.clearance import Clearance
 from rfem_jax.description.mechanism.compliance import Compliance, TablesByDirection
+from rfem_jax.description.mechanism.couplings import Coupling
 from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.links import Link, PointMass
 from rfem_jax.description.mechanism.materials import Material
@@ -53,6 +54,7 @@ _IN_A_FILE = {  # where a file has something else than the class
     "joints": "tables [[mechanism.joints]]; each link is the child of exactly one that is not cut",
     "springs": "tables [[mechanism.springs]], as well as those of [[mechanism.forces]]",
     "forces": "tables [[mechanism.forces]]",
+    "couplings": "tables [[mechanism.couplings]] between coordinates of two joints",
     "points": "tables [[mechanism.points]], whose paths runs follow",
     "section": "name of a table [mechanism.sections.NAME] (a rigid link needs it for its mass, unless it has a body)",
     "material": 'name of a table [mechanism.materials.NAME]; none with a section of shape "given"',
@@ -111,7 +113,9 @@ def key_tables() -> list[KeyTable]:
         ("body of [[mechanism.links]]", RigidBody),
     ):
         tables.append(_table(header, kind, *keys_of(kind), _IN_A_FILE))
-    tables += [*_joint_tables(), *_force_tables(), _table("[[mechanism.points]]", Point, *keys_of(Point))]
+    tables += [*_joint_tables(), *_force_tables()]
+    tables.append(_table("[[mechanism.couplings]]", Coupling, *keys_of(Coupling)))
+    tables.append(_table("[[mechanism.points]]", Point, *keys_of(Point)))
     for name, kind in DRIVES.items():
         header, own = f'[drive] or [[drives]] of kind "{name}"', {"kind": f'"{name}"'}
         tables.append(_table(header, kind, *drive_keys(name), own))

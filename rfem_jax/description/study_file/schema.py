@@ -53,6 +53,7 @@ def study_schema() -> Schema:
         "joints": _list_of([one(JOINTS, {"kind": _word(KINDS), **within_joints})]),
         "springs": _list_of(those("[[mechanism.springs]]")),
         "forces": _list_of(those("[[mechanism.forces]]")),
+        "couplings": _list_of([one("[[mechanism.couplings]]")]),
         "points": _list_of([one("[[mechanism.points]]")]),
     }
     drives = those("[drive]")

@@ -36,6 +36,7 @@ from rfem_jax.description.drives.translations import (
     PrescribedRunUp,
     PrescribedSpeed,
 )
+from rfem_jax.description.mechanism.couplings import Coupling
 from rfem_jax.description.mechanism.links import Link, PointMass
 from rfem_jax.description.mechanism.materials import Material
 from rfem_jax.description.mechanism.mechanism import STARTS, Mechanism
@@ -59,7 +60,10 @@ DRIVES = {
     "prescribed_displacements": PrescribedDisplacements,
 }
 _MECHANISM_OPTIONS = ("gravity", "redundant_reactions", "reaction_length", "elements", "shaking_point")
-MECHANISM_KEYS = (("links", "joints"), ("materials", "sections", "springs", "forces", "points", *_MECHANISM_OPTIONS))
+MECHANISM_KEYS = (
+    ("links", "joints"),
+    ("materials", "sections", "springs", "forces", "couplings", "points", *_MECHANISM_OPTIONS),
+)
 SIMULATION_KEYS = (("duration",), ("method", "save_every", "start"))  # and the settings of the method
 
 
@@ -78,9 +82,11 @@ def read_mechanism(table: object) -> Mechanism:
     parts["links"] = all_of("links", _read_link, materials, sections)
     joints, springs, forces = all_of("joints", read_joint), all_of("springs", read_spring), all_of("forces", read_force)
     parts["points"] = all_of("points", partial(read_table, Point))
+    couplings = all_of("couplings", partial(read_table, Coupling))
     parts["joints"] = joints if joints is ABSENT else [joint for joint, _ in joints]
-    known = ABSENT not in (joints, springs, forces)
-    parts["forces"] = [*(one for _, some in joints for one in some), *springs, *forces] if known else ABSENT
+    parts["forces"] = ABSENT
+    if ABSENT not in (joints, springs, forces, couplings):
+        parts["forces"] = [*(one for _, some in joints for one in some), *springs, *forces, *couplings]
     return build(Mechanism, parts, place, problems)
 
 

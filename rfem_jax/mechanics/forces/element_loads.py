@@ -56,11 +56,13 @@ class ElementTangents(NamedTuple):
     """The elements that have tangents, with k rows together.
 
     units: wrenches (6, k) at the global origin, by node, of unit forces and moments between the frames; stiffness
-    (k, k): minus the derivatives of these by the relative accelerations, block diagonal.
+    (k, k): minus the derivatives of these by the relative accelerations, block diagonal; joints: with couplings, loads
+    along the joint coordinates of units of all.
     """
 
     units: dict[int, Float[Array, "6 k"]]
     stiffness: Float[Array, "k k"]
+    joints: Float[Array, "freedoms k"] | None = None
 
 
 def frame_loads(actual: ModelWithErrors, motion: Motion, time: Time | None) -> FrameLoads | None:
@@ -208,6 +210,22 @@ def element_tangents(
         rows.append(jnp.concatenate([jnp.zeros((n, first)), block, jnp.zeros((n, k - first - n))], axis=1))
         first += n
     return ElementTangents(units, actual.frame_forces.share * jnp.concatenate(rows))
+
+
+def with_couplings(
+    elements: ElementTangents | None,
+    couplings: tuple[Float[Array, "freedoms couplings"], Float[Array, " couplings"]] | None,
+) -> ElementTangents | None:
+    """The tangents of the elements beside those of couplings, from `coupling_tangents`."""
+    if couplings is None:
+        return elements
+    directions, tangents = couplings
+    if elements is None:
+        return ElementTangents({}, jnp.diag(tangents), directions)
+    k, more = elements.stiffness.shape[0], tangents.shape[0]
+    units = {node: jnp.pad(one, ((0, 0), (0, more))) for node, one in elements.units.items()}
+    stiffness = jnp.pad(elements.stiffness, (0, more)) + jnp.diag(jnp.pad(tangents, (k, 0)))
+    return ElementTangents(units, stiffness, jnp.pad(directions, ((0, 0), (k, 0))))
 
 
 def element_pose(topology: Topology, motion: Motion, element: FrameForce) -> Pose:

@@ -3,7 +3,8 @@
 Place in the pipeline: inputs, joint_laws -> **joint_forces** -> dynamics, residual, loads, statics,
 reference.formulation.
 
-They are the moments and forces of drives, and springs, dampers and laws of a joint's own position and rate.  Springs
+They are the moments and forces of drives, springs, dampers and laws of a joint's own position and rate, and couplings
+of two coordinates, which act beside their joints as laws do, but have an energy and a dissipation.  Springs
 and dampers, those of compliant joints among them, are inside a joint: parts of its load.  Drives and laws act from
 outside it and are not (theory (3.17)).
 """
@@ -18,6 +19,7 @@ from jax import Array
 from jaxtyping import Float
 
 from rfem_jax.mechanics.algebra.vectors import Scalar, dot
+from rfem_jax.mechanics.laws.couplings import CouplingLaw, Meshing
 from rfem_jax.mechanics.laws.joint_springs import CompliantSpring, diagonal_tangent
 from rfem_jax.mechanics.model.inputs import DriveInput
 from rfem_jax.mechanics.model.model import Coordinates, State, Topology
@@ -44,7 +46,8 @@ class LawForces(NamedTuple):
 
     inside, outside: forces [N, N m] by joint coordinate, of springs with dampers and friction, and of laws; dissipated,
     power [W]: of the dampers and friction, and of the laws whose work is not known by their positions; cuts: of
-    friction in cut joints; friction: by its name; these are None without any friction.
+    friction in cut joints; friction: by its name; these are None without any friction; couplings: by their names,
+    None without any, whose loads are beside those of the joints, as those of laws.
     """
 
     inside: dict[int, Float[Array, ""]]
@@ -53,6 +56,7 @@ class LawForces(NamedTuple):
     power: Float[Array, ""]
     cuts: CutForces | None = None
     friction: dict[str, FrictionState] | None = None
+    couplings: dict[str, Meshing] | None = None
 
 
 def law_forces(actual: ModelWithErrors, state: State) -> LawForces | None:
@@ -77,11 +81,54 @@ def law_forces(actual: ModelWithErrors, state: State) -> LawForces | None:
                     rate = rate_about_axis(actual.topology, state, law.coordinate)
                 power = power + force * rate
             side[law.coordinate] = side[law.coordinate] + force if law.coordinate in side else force
+        meshes = coupling_meshes(actual, state)
+        for name, mesh in meshes.items():
+            dissipated = dissipated + mesh.dissipated
+            for k, load in zip(_couplings(actual)[name].coordinates, mesh.loads):
+                outside[k] = outside[k] + load if k in outside else load
         for spring in springs:
             position, rate = _spring_motion(spring, state)
             inside |= dict(zip(spring.coordinates, spring.along(position, rate)))
             dissipated = dissipated - dot(spring.along(position, rate) - spring.along(position, 0.0 * rate), rate)
-    return LawForces(inside, outside, dissipated, power)
+    return LawForces(inside, outside, dissipated, power, couplings=meshes or None)
+
+
+def _couplings(actual: ModelWithErrors) -> dict[str, CouplingLaw]:
+    return {} if actual.forces is None else actual.forces.couplings
+
+
+def coupling_meshes(actual: ModelWithErrors, state: State) -> dict[str, Meshing]:
+    """What the couplings exert at one instant, by their names."""
+    meshes = {}
+    for name, coupling in _couplings(actual).items():
+        assert actual.forces is not None
+        mesh, share = coupling.meshing(*_coupled(coupling, state)), actual.forces.share
+        meshes[name] = Meshing(mesh.deflection, share * mesh.loads, share * mesh.dissipated)
+    return meshes
+
+
+def _coupled(coupling: CouplingLaw, state: State) -> tuple[Array, Array]:
+    """Positions and rates of the two coordinates of a coupling."""
+    joints, rates = state.position.joints, state.velocity.joints
+    return jnp.stack([joints[k] for k in coupling.places]), jnp.stack([rates[k] for k in coupling.coordinates])
+
+
+def coupling_tangents(
+    actual: ModelWithErrors, state: State, q_factor: Scalar, v_factor: Scalar
+) -> tuple[Float[Array, "freedoms couplings"], Float[Array, " couplings"]] | None:
+    """Directions of the loads of all couplings along the joint coordinates, and their tangents, as
+    `CouplingLaw.tangent`; None without any."""
+    found = []
+    for coupling in _couplings(actual).values():
+        assert actual.forces is not None
+        direction, stiffness = coupling.tangent(*_coupled(coupling, state), q_factor, v_factor)
+        rows = np.arange(actual.topology.n_freedoms)
+        along = sum(jnp.where(rows == k, one, 0.0) for k, one in zip(coupling.coordinates, direction))
+        found.append((jnp.asarray(along), actual.forces.share * stiffness))
+    if not found:
+        return None
+    directions, tangents = zip(*found)
+    return jnp.stack(directions, axis=1), jnp.stack(tangents)
 
 
 def tree_springs(actual: ModelWithErrors) -> list[CompliantSpring]:
@@ -159,9 +206,11 @@ def outside_forces(topology: Topology, drive: DriveInput, laws: LawForces | None
 
 
 def law_energy(actual: ModelWithErrors, position: Coordinates) -> Float[Array, ""]:
-    """Potential energy [J] of the springs of the joints of the tree."""
+    """Potential energy [J] of the springs of the joints of the tree, and of couplings of these."""
     springs = [] if actual.forces is None else actual.forces.laws.values()
     energies = [law.energy(position.joints[law.place]) for law in springs if law.inside]
+    for coupling in _couplings(actual).values():
+        energies.append(coupling.energy(jnp.stack([position.joints[k] for k in coupling.places])))
     energy = jnp.asarray(sum(energies)) * (1.0 if actual.forces is None else actual.forces.share)
     for spring in tree_springs(actual):
         energy = energy + spring.energy(jnp.stack([position.joints[k] for k in spring.places]))

@@ -9,9 +9,9 @@ from typing import NamedTuple
 from jaxtyping import Array, Float
 
 from rfem_jax.mechanics.algebra.vectors import Scalar
-from rfem_jax.mechanics.forces.element_loads import ElementTangents, element_tangents
+from rfem_jax.mechanics.forces.element_loads import ElementTangents, element_tangents, with_couplings
 from rfem_jax.mechanics.forces.friction import FrictionTangent
-from rfem_jax.mechanics.forces.joint_forces import CutForces, law_tangent
+from rfem_jax.mechanics.forces.joint_forces import CutForces, coupling_tangents, law_tangent
 from rfem_jax.mechanics.kinematics.cut_joints import Closure, spring_row_tangent
 from rfem_jax.mechanics.kinematics.motion import Motion
 from rfem_jax.mechanics.laws.frame_forces import Time
@@ -24,8 +24,8 @@ NO_FRICTION = FrictionTangent({}, {})
 class ForceTangents(NamedTuple):
     """Minus the derivatives of forces with respect to accelerations, as far as a mechanism has such forces.
 
-    joints: of springs, laws and friction by joint coordinate; elements: of force elements; rows: of springs of cut
-    joints, from `spring_row_tangent`; cuts: of friction in cut joints.
+    joints: of springs, laws and friction by joint coordinate; elements: of force elements and couplings; rows: of
+    springs of cut joints, from `spring_row_tangent`; cuts: of friction in cut joints.
     """
 
     joints: dict[int, Float[Array, ""]]
@@ -53,5 +53,7 @@ def force_tangents(
     joints = law_tangent(actual, state, *factors)
     for k, value in friction.tree.items():
         joints[k] = joints[k] + value if k in joints else value
-    elements = element_tangents(actual, motion, time, *factors)
+    elements = with_couplings(
+        element_tangents(actual, motion, time, *factors), coupling_tangents(actual, state, *factors)
+    )
     return ForceTangents(joints, elements, spring_row_tangent(actual, cuts, scale, *factors), friction.cuts)

@@ -88,11 +88,19 @@ class SpringRows(NamedTuple):
 class ElementMatrix(NamedTuple):
     """Part of the force elements in the iteration matrix: units, wrenches (6, k) of unit forces and moments by node;
     responses to them; gain (k, k): the forces per relative acceleration that there would be without them (theory
-    (7.22))."""
+    (7.22)); joints: with couplings, units along the joint coordinates."""
 
     units: dict[int, Float[Array, "6 k"]]
     responses: Response
     gain: Float[Array, "k k"]
+    joints: Float[Array, "freedoms k"] | None = None
+
+    def relative(self, topology: Topology, response: Response) -> Array:
+        """Relative accelerations (k, K) along the units of a response (..., K)."""
+        rows = sum(transposed_product(unit, of_node(topology, response, node)) for node, unit in self.units.items())
+        if self.joints is not None:
+            rows = rows + transposed_product(self.joints, response.joints)
+        return jnp.asarray(rows)
 
 
 class IterationMatrix(NamedTuple):
@@ -170,21 +178,19 @@ def _element_matrix(
         node: vectors.spatial(wrench[:3] - cross(points[node][:, None], wrench[3:]), wrench[3:])
         for node, wrench in tangents.units.items()
     }
-    responses = respond(topology, links, jnp.zeros((topology.n_freedoms, k)), {}, {}, units, k)
-    rows = sum(transposed_product(unit, of_node(topology, responses, node)) for node, unit in units.items())
-    stiffness = tangents.stiffness
-    gain = -jnp.linalg.solve(jnp.eye(k) + product(stiffness, jnp.asarray(rows)), stiffness)
-    return ElementMatrix(units, responses, gain)
+    along = jnp.zeros((topology.n_freedoms, k)) if tangents.joints is None else tangents.joints
+    responses = respond(topology, links, along, {}, {}, units, k)
+    matrix = ElementMatrix(units, responses, tangents.stiffness, tangents.joints)
+    rows, stiffness = matrix.relative(topology, responses), tangents.stiffness
+    return matrix._replace(gain=-jnp.linalg.solve(jnp.eye(k) + product(stiffness, rows), stiffness))
 
 
 def _with_elements(topology: Topology, elements: ElementMatrix | None, response: Response) -> Response:
     """The response (..., K) of a mechanism with its force elements, from that without them."""
     if elements is None:
         return response
-    units, by_element, gain = elements
-    rows = sum(transposed_product(unit, of_node(topology, response, node)) for node, unit in units.items())
-    exerted = product(gain, jnp.asarray(rows))
-    return jax.tree.map(lambda a, b: a + product(b, exerted), response, by_element)
+    exerted = product(elements.gain, elements.relative(topology, response))
+    return jax.tree.map(lambda a, b: a + product(b, exerted), response, elements.responses)
 
 
 def _friction_columns(

@@ -16,6 +16,7 @@ from jax import Array
 from jaxtyping import ArrayLike, Float
 
 from rfem_jax.description.mechanism.forces import JointForce, JointForceFunction, JointForceTable, JointSpring
+from rfem_jax.mechanics.laws.couplings import CouplingLaw
 from rfem_jax.mechanics.laws.friction_laws import Friction
 
 
@@ -127,10 +128,12 @@ class FunctionLaw(JointLaw):
 
 
 class JointLaws(eqx.Module):
-    """All forces along joint coordinates, by their names; share: of their full size, for load steps."""
+    """All forces along joint coordinates and between two of them, by their names; share: of their full size, for load
+    steps."""
 
     laws: dict[str, JointLaw]
     share: Float[Array, ""]
+    couplings: dict[str, CouplingLaw] = eqx.field(default_factory=dict)
 
 
 def joint_law(force: JointForce, coordinate: int, place: int) -> JointLaw:

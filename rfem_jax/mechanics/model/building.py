@@ -14,6 +14,7 @@ from jax import Array
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.basics.joint_kinds import KINDS, JointKind, compliant
 from rfem_jax.description.basics.numbers import Number, array_of, rotation_of_angles, traced
+from rfem_jax.description.mechanism.couplings import Coupling
 from rfem_jax.description.mechanism.distributed_forces import DistributedForce
 from rfem_jax.description.mechanism.forces import JointForce, JointFriction
 from rfem_jax.description.mechanism.joints import Joint
@@ -23,6 +24,7 @@ from rfem_jax.description.mechanism.point_forces import AtPoint, BetweenPoints
 from rfem_jax.description.parameters.parts import Parts, parts_of
 from rfem_jax.mechanics.laws.bearings import bearing_capacities
 from rfem_jax.mechanics.laws.clearances import clearance_name, pin_in_bush
+from rfem_jax.mechanics.laws.couplings import CouplingLaw, coupling_law
 from rfem_jax.mechanics.laws.frame_forces import FrameForce, NodeFrame
 from rfem_jax.mechanics.laws.friction_laws import Friction, friction_law
 from rfem_jax.mechanics.laws.joint_laws import JointLaw, joint_law
@@ -118,6 +120,7 @@ def arrays_of(parts: Parts, structure: PartStructure) -> Model:
         cut_angles=_array([0.0] * (len(joints) - len(links))),
         gravity=_array(parts.gravity),
         forces=_joint_laws(parts, topology) or None,
+        couplings=_couplings(parts, topology) or None,
         point_products=_columns([mass.products for mass in masses]) if products else None,
         frame_forces=_frame_forces(parts, topology, links, points) or None,
         friction=_frictions(parts, topology) or None,
@@ -187,6 +190,21 @@ def _joint_laws(parts: Parts, topology: Topology) -> dict[str, JointLaw]:
         joint = topology.joints.index(force.joint)
         n = force.coordinate(parts.joint(force.joint))
         laws[force.name] = joint_law(force, topology.own_coordinates[joint][n], topology.own_positions[joint][n])
+    return laws
+
+
+def _couplings(parts: Parts, topology: Topology) -> dict[str, CouplingLaw]:
+    """The couplings of joint coordinates, by their names."""
+    laws = {}
+    for force in parts.forces:
+        if isinstance(force, Coupling):
+            joints = [topology.joints.index(name) for name in force.joints]
+            own = [force.coordinate(side, parts.joint(name)) for side, name in enumerate(force.joints)]
+            rates, places = (
+                (one[joints[0]][own[0]], one[joints[1]][own[1]])
+                for one in (topology.own_coordinates, topology.own_positions)
+            )
+            laws[force.name] = coupling_law(force, rates, places)
     return laws
 
 

@@ -245,7 +245,11 @@ def _idle_coordinates(model: Model) -> dict[int, str]:
     laws = [] if model.forces is None else model.forces.values()
     # A freedom that a spring holds is not idle.
     held = [*(law.coordinate for law in laws if holds(law)), *topology.sprung_coordinates]
-    sprung = np.eye(topology.n_freedoms)[held]
+    sprung = [np.eye(topology.n_freedoms)[held]]
+    for coupling in (model.couplings or {}).values():
+        positions = jnp.asarray(model.start_joints)[np.array(coupling.places)]
+        direction = coupling.starting_at(model.start_joints).tangent(positions, jnp.zeros(2), 1.0, 0.0)[0]
+        sprung.append(np.asarray(direction) @ np.eye(topology.n_freedoms)[list(coupling.coordinates)])
     twists, units = np.zeros((n, 6, topology.n_freedoms)), joint_units(geometry)
     for l, parent in enumerate(topology.parents[:n]):
         if parent != BASE:
@@ -254,7 +258,7 @@ def _idle_coordinates(model: Model) -> dict[int, str]:
             twists[l, :, k] += units[k] * placed.twists[k]
     twists[:, 3:] /= geometry.scale
     stretched = [_stretching(model, placed, law, twists) for law in _point_pair_forces(model).values()]
-    held = [closure_jacobian(geometry, placed)[:, : topology.n_freedoms], sprung, *stretched]
+    held = [closure_jacobian(geometry, placed)[:, : topology.n_freedoms], *sprung, *stretched]
     free = null_space(np.vstack(held))
     if free.shape[1] == 0:
         return {}

@@ -32,6 +32,7 @@ from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.basics.joint_kinds import COMPONENTS, KINDS, Freedom, JointKind, compliant
 from rfem_jax.description.drives.driven_motions import motion_label
 from rfem_jax.mechanics.laws.bearings import BearingCapacity
+from rfem_jax.mechanics.laws.couplings import CouplingLaw
 from rfem_jax.mechanics.laws.frame_forces import FrameForce
 from rfem_jax.mechanics.laws.friction_laws import Friction
 from rfem_jax.mechanics.laws.joint_laws import JointLaw
@@ -392,7 +393,8 @@ class Model(eqx.Module):
     of compliant joints, by the names of joint and direction as "A.radial", likewise; bearings: what they carry, by
     joint, likewise; reaction_length [m]: over which moments count in the norm of reactions, None unless the least are
     asked for; points: whose paths are followed, by their names, None without any; line_loads: along links, likewise;
-    shaking_point [m]: about which the moment on the base is taken, None for the origin.
+    shaking_point [m]: about which the moment on the base is taken, None for the origin; couplings: of joint
+    coordinates, by their names, None without any.
 
     Numbers of the description change by a `rfem_jax.design`, from which all arrays follow.  `equinox.tree_at` may
     replace what is no number of a description and leaves the geometry as it is, such as the stiffnesses of one link of
@@ -425,6 +427,7 @@ class Model(eqx.Module):
     points: dict[str, CarriedPoint] | None = None
     line_loads: dict[str, LineLoad] | None = None
     shaking_point: Float[Array, "3"] | None = None
+    couplings: dict[str, CouplingLaw] | None = None
 
     @property
     def vectors_of_time(self) -> list[TimeVector]:
@@ -436,7 +439,7 @@ class Model(eqx.Module):
     @property
     def own_names(self) -> tuple[str, ...]:
         """Names of all its things, which are no part of programs (`compilation.naming`)."""
-        parts = self.forces, self.friction, self.frame_forces, self.line_loads
+        parts = self.forces, self.friction, self.frame_forces, self.line_loads, self.couplings
         forces = (name for part in parts for name in part or {})
         others = () if self.source is None else self.source.own_names
         forces = (one.partition(".")[0] for one in forces)

@@ -50,9 +50,9 @@ class ModelWithErrors(eqx.Module):
     gravity: acceleration [m/s^2] in global axes.
     datum: the first base joint's nominal place, the zero level of gravity's energy [m].
     possible: 1, or 0 of errors that cannot be: these are then constants of the mechanism without errors.
-    forces: along joint coordinates, None without any; frame_forces: elements between frames on nodes, likewise;
-    friction: in joints of the tree and cut ones, likewise; springs: of compliant joints, likewise; reaction_length: as
-        of the model; points: whose paths are followed, likewise.
+    forces: along joint coordinates and of couplings of these, None without any; frame_forces: elements between frames
+    on nodes, likewise; friction: in joints of the tree and cut ones, likewise; springs: of compliant joints, likewise;
+    reaction_length: as of the model; points: whose paths are followed, likewise.
     """
 
     topology: Topology = eqx.field(static=True)
@@ -131,7 +131,7 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
             beam_middle=length * np.array([rfe_fractions(n)[1][0] for n in topology.elements]),
             gravity=model.gravity,
             datum=model.parent_position[:, topology.parents.index(BASE)],
-            forces=None if model.forces is None else JointLaws(model.forces, jnp.ones(())),
+            forces=_joint_laws(model),
             frame_forces=_frame_forces(model, scale, sides),
             friction=model.friction,
             springs=model.springs,
@@ -192,6 +192,14 @@ def _points(model: Model, scale: Array) -> dict[str, CarriedPoint] | None:
         name: CarriedPoint(one.node, one.observer, _stretched(model.topology, one.node, one.position, scale))
         for name, one in model.points.items()
     }
+
+
+def _joint_laws(model: Model) -> JointLaws | None:
+    """Forces along joint coordinates, and couplings of these as they mesh at the start."""
+    if model.forces is None and model.couplings is None:
+        return None
+    couplings = {name: one.starting_at(model.start_joints) for name, one in (model.couplings or {}).items()}
+    return JointLaws(model.forces or {}, jnp.ones(()), couplings)
 
 
 def _start_angles(model: Model) -> Float[Array, " joints"]:

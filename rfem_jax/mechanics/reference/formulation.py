@@ -188,6 +188,23 @@ def _spring_work(actual: ModelWithErrors, state: State, q: Coordinates, qd: Coor
     return potential, rayleigh
 
 
+def _coupling_forces(
+    actual: ModelWithErrors, state: State, qd: Array, unravel: Callable[[Array], Coordinates]
+) -> Array:
+    """Generalised forces of couplings: the work of their loads along the coordinates' deflections."""
+    assert actual.forces is not None, "couplings are among the forces"
+    still, total = jnp.zeros_like(qd), jnp.zeros_like(qd)
+    for coupling in actual.forces.couplings.values():
+
+        def deflection(q, coupling=coupling):
+            joints = _changed(actual.topology, state.position, unravel(q)).joints
+            return coupling.deflection(joints[np.array(coupling.places)])
+
+        gradient = jax.grad(deflection)(still)
+        total = total + gradient * coupling.load(deflection(still), gradient @ qd)[0]
+    return actual.forces.share * total
+
+
 def _joint_transforms(actual: ModelWithErrors, position: Coordinates, change: Coordinates) -> dict[str, Array]:
     """Transforms from the frame on the parent to that on the child, by the names of joints."""
     frames, topology, by_joint = [*transforms(actual, position, change), jnp.eye(4)], actual.topology, {}
@@ -279,7 +296,11 @@ def _joint_coordinate_forces(
     if actual.forces is not None:
         force = force - jax.grad(lambda q: _spring_work(actual, state, unravel(q), unravel(still))[0])(still)
         force = force - jax.grad(lambda qd: _spring_work(actual, state, unravel(still), unravel(qd))[1])(qd)
-    laws = law_forces(eqx.tree_at(lambda a: a.springs, actual, None, is_leaf=lambda x: x is None), state)
+    bare = eqx.tree_at(lambda a: a.springs, actual, None, is_leaf=lambda x: x is None)
+    if actual.forces is not None and actual.forces.couplings:
+        bare = eqx.tree_at(lambda a: a.forces.couplings, bare, {})
+        force = force + _coupling_forces(actual, state, qd, unravel)
+    laws = law_forces(bare, state)
     # Those of springs and dampers are in the two functions already.
     outside = None if laws is None else laws._replace(inside={})
     for k, applied in applied_forces(actual.topology, state.position, drive, outside).items():

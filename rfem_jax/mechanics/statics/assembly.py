@@ -37,6 +37,7 @@ from rfem_jax.mechanics.forces.element_loads import element_tangents, frame_load
 from rfem_jax.mechanics.forces.joint_forces import (
     applied_forces,
     by_coordinate,
+    coupling_tangents,
     law_forces,
     law_tangent,
     loads_about_parent_axes,
@@ -364,7 +365,7 @@ def _unloaded(model: Model) -> ModelWithErrors:
     """The perfect mechanism without gravity; where loads are applied in steps also without forces of joints and
     elements, so that the undeformed start is an equilibrium."""
     perfect = eqx.tree_at(lambda r: r.gravity, apply_errors(model, assembly_errors(model)), jnp.zeros(3))
-    if model.topology.exact and model.forces is not None:
+    if model.topology.exact and perfect.forces is not None:
         perfect = eqx.tree_at(lambda r: r.forces.share, perfect, jnp.zeros(()))
     if model.topology.exact and model.frame_forces is not None:
         perfect = eqx.tree_at(lambda r: r.frame_forces.share, perfect, jnp.zeros(()))
@@ -426,6 +427,10 @@ def _rows(scaled: _Scaled, actual: ModelWithErrors) -> Array:
         at_rest = loads.static_state(topology, scaled.coordinates(jnp.zeros(len(scaled.units))))
         if of_laws := law_tangent(actual, at_rest, 1.0, 0.0):
             of_joints = of_joints + by_coordinate(topology, of_laws) * scaled.units[: topology.n_freedoms]
+        if (meshes := coupling_tangents(actual, at_rest, 1.0, 0.0)) is not None:
+            directions, stiffness = meshes
+            stretches = jnp.abs(directions).T @ scaled.units[: topology.n_freedoms]
+            of_joints = of_joints + jnp.abs(directions) @ (stiffness * stretches)
         cuts = closure(actual, motion_of(actual, at_rest), scaled.length) if topology.sprung_rows else None
         stiffness = spring_row_tangent(actual, cuts, scaled.length, 1.0, 0.0)
         if stiffness is not None:

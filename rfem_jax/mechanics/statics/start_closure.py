@@ -89,7 +89,7 @@ def _free_coordinates(topology: Topology) -> tuple[np.ndarray, np.ndarray]:
 
 def _closure_at(model: Model, position: Coordinates) -> Closure:
     """The closure equations of the undeformed mechanism at a position."""
-    bare = replace(model, forces=None, frame_forces=None, friction=None, line_loads=None)
+    bare = replace(model, forces=None, frame_forces=None, friction=None, line_loads=None, couplings=None)
     actual = apply_errors(bare, assembly_errors(bare))
     found = closure(actual, motion_of(actual, loads.static_state(model.topology, position)), length_scale(model))
     assert found is not None, "there are loops"

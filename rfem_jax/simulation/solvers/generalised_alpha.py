@@ -518,7 +518,9 @@ def _friction_delay(constants: StepConstants, start: StepStart) -> Float[Array, 
 
 def _renews(actual: ModelWithErrors) -> bool:
     """Whether the iteration matrix changes much within a step."""
-    return actual.friction is not None or bool(actual.topology.clearances)
+    couplings = {} if actual.forces is None else actual.forces.couplings
+    flanks = any(one.gap is not None for one in couplings.values())
+    return actual.friction is not None or bool(actual.topology.clearances) or flanks
 
 
 def _remembering(start: StepStart) -> StepStart:
