@@ -35,6 +35,7 @@ from rfem_jax import (
     Tube,
     design,
     designed,
+    assembly_errors,
     discretise,
     parameters,
 )
@@ -234,7 +235,9 @@ def test_every_number_alone_changes_what_its_description_would(described, model)
         value, full = changed(named[name]), named[name].full
         wanted = leaves_of(arrays_of(parts_of(with_values(described, {name: value})), structure))
         differ = {path for path in nominal if (wanted[path] != nominal[path]).any()}
-        changes = dict(zip(nominal, _plan_of(source.blueprint, model.topology, (full,)).changes, strict=True))
+        plan = _plan_of(source.blueprint, model.topology, (full,))
+        flags = [one for one in jax.tree.leaves(plan.changes) if not isinstance(one, str)]
+        changes = dict(zip(nominal, flags, strict=True))
         assert differ and differ <= {path for path in nominal if changes[path]}, name
 
 
@@ -281,3 +284,22 @@ def test_all_numbers_together_are_what_their_description_would_be(described, mod
     scale = np.maximum(abs(np.asarray(change)), 1e-6 * np.maximum(abs(np.asarray(found)), 1e-6))
     np.testing.assert_array_less(abs(np.asarray(difference - change)) / scale, 1e-6)
     assert float(pulled @ along) == pytest.approx(float(cotangent @ change), rel=1e-9)
+
+
+def test_designs_and_deviations_outside_of_a_program(described, model):
+    """Programs know things by other names, in another order than here: each array is the one of its own thing."""
+    named, blueprint = parameters(model), model.source.blueprint
+    structure = PartStructure(model.topology, blueprint.points, blueprint.products)
+    for owner in ("across", "follower", "return"):
+        numbers = [name for name in named if name.startswith(f"{owner}.") and not name.endswith(OUT_OF_PLANE)]
+        numbers = [name for name in numbers if "position" not in name and "orientation" not in name]
+        values = {name: changed(named[name]) for name in numbers if ".start" not in name}
+        if not values:
+            continue  # it is of the other mechanism
+        wanted = leaves_of(arrays_of(parts_of(with_values(described, values)), structure))
+        more = {name: value - named[name].value for name, value in values.items()}
+        for one in (designed(model, design(model, values)), designed(model, None, assembly_errors(model, more))):
+            found = leaves_of(one.model)
+            for path in wanted:
+                if not path.startswith((".start_joints", ".cut_angles")):
+                    np.testing.assert_allclose(found[path], wanted[path], rtol=1e-9, atol=1e-12, err_msg=path)
