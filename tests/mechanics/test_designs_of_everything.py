@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from rfem_jax import (
+    Base,
     Circle,
     Clearance,
     Compliance,
@@ -33,9 +34,9 @@ from rfem_jax import (
     Rectangle,
     RigidBody,
     Tube,
+    assembly_errors,
     design,
     designed,
-    assembly_errors,
     discretise,
     parameters,
 )
@@ -45,7 +46,8 @@ from rfem_jax.mechanics.model.building import PartStructure, arrays_of
 from rfem_jax.mechanics.statics.designs import _plan_of
 from tests.mechanisms import STEEL, TABLE
 
-BRASS = Material("brass", youngs_modulus=1e11, density=8400.0, shear_modulus=3.7e10, damping=2e-5)
+BRASS = Material("brass", youngs_modulus=1e11, density=8400.0, shear_modulus=3.7e10, damping=2e-5,
+                 thermal_expansion=19e-6)  # fmt: skip
 GIVEN = GivenSection(
     2e7, 7e6, 6e6, 150.0, 180.0, 120.0, 0.7, 1.4e-5, 8e-6, 6e-6, 1e-5, edge_y=5e-3, edge_z=6e-3, edge_modulus=2e11,
     torsion_modulus=2e-7, name="given",
@@ -80,12 +82,14 @@ def chain_of_everything():
     links = [
         Link("a", 0.1, Rectangle(0.012, 0.01, name="bar"), STEEL, rigid=True),
         Link("b", 0.2, Tube(0.016, 0.001, name="tube"), STEEL, rfes=2),
-        Link("c", 0.15, Circle(0.01), BRASS, rigid=True,
+        Link("c", 0.15, Circle(0.01), BRASS, rigid=True, temperature=200.0,
              point_masses=[PointMass(0.1, (0.06, 0.01, -0.02), (1e-5, 2e-5, 2.5e-5))]),
-        Link("d", 0.25, GIVEN, rfes=3, point_masses=[PointMass(0.2, (0.1, 0.0, 0.01), (1e-5, 1e-5, 1e-5))]),
+        Link("d", 0.25, GIVEN, rfes=3, temperature=80.0, thermal_expansion=2e-5,
+             point_masses=[PointMass(0.2, (0.1, 0.0, 0.01), (1e-5, 1e-5, 1e-5))]),
         Link("e", 0.12, body=RigidBody(0.3, (0.04, 0.01, -0.02), (3e-4, 4e-4, 5e-4), (0.1, 0.2, -0.3))),
-        Link("f", 0.12, body=RigidBody(0.3, (0.04, 0.01, -0.02), TENSOR, (0.0, 0.2, 0.1))),
-        Link("g", 0.1, Tube(0.02, 0.003, shear_factor=1.9), BRASS, rfes=2),
+        Link("f", 0.12, body=RigidBody(0.3, (0.04, 0.01, -0.02), TENSOR, (0.0, 0.2, 0.1)),
+             temperature=9.0, thermal_expansion=-1e-5),
+        Link("g", 0.1, Tube(0.02, 0.003, shear_factor=1.9), BRASS, rfes=2, temperature=-50.0),
         Link("h", 0.1, Rectangle(0.008, 0.014), STEEL, rigid=True),
         Link("i", 0.1, Circle(0.01, name="rod"), STEEL, rfes=2),
         Link("j", 0.1, Rectangle(0.012, 0.01, name="bar"), STEEL, rigid=True),
@@ -127,7 +131,8 @@ def chain_of_everything():
         DistributedForce("wind", "d", (30.0, -20.0, 30.0), (5.0, 40.0, -9.0), begin=0.04, end=0.2, axes="link"),
         DistributedForce("rain", "h", rows, times=[0, 0.1, 0.2], begin=0.02),
     ]  # fmt: skip
-    return Mechanism(links, joints, driven_joint=["A", "C.T_y"], forces=forces, gravity=(1.0, -2.0, -9.0))
+    base, gravity = Base(12e-6, 40.0), (1.0, -2.0, -9.0)
+    return Mechanism(links, joints, driven_joint=["A", "C.T_y"], forces=forces, gravity=gravity, base=base)
 
 
 def loop_of_everything():
@@ -135,7 +140,7 @@ def loop_of_everything():
     links = [
         Link("crank", 0.12, Tube(0.016, 0.001, name="tube"), STEEL, rigid=True),
         Link("coupler", 0.3, Circle(0.01, name="rod"), STEEL, rfes=2),
-        Link("rocker", 0.3, Tube(0.02, 0.003, shear_factor=1.9, name="thick"), BRASS, rfes=2,
+        Link("rocker", 0.3, Tube(0.02, 0.003, shear_factor=1.9, name="thick"), BRASS, rfes=2, temperature=10.0,
              point_masses=[PointMass(0.2, (0.1, 0.0, 0.01), (1e-5, 1e-5, 1e-5))]),
     ]  # fmt: skip
     joints = [

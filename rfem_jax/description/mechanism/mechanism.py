@@ -18,6 +18,7 @@ from rfem_jax.description.basics.errors import (
     InputError,
     Problems,
     require_choice,
+    require_instance,
     subject,
     suggestion,
 )
@@ -26,6 +27,7 @@ from rfem_jax.description.basics.notebook_tables import mechanism_html
 from rfem_jax.description.basics.numbers import NumberTree, is_known, number_vector
 from rfem_jax.description.basics.units import positive_quantity
 from rfem_jax.description.drives.driven_motions import plain_motion
+from rfem_jax.description.mechanism.bases import Base
 from rfem_jax.description.mechanism.forces import Force, JointForce, JointFriction
 from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.links import Link
@@ -65,6 +67,7 @@ class Mechanism(NumberTree, ChecksItself):
         reaction_length: length [m], > 0, over which moments count beside forces in the sum of squares of
             "minimum_norm"; None: that of the longest link.
         points: Point objects, whose paths runs follow.
+        base: a Base, whose places move apart with its temperature; None: they stay.
     Raises:
         InputError: names clash or are unknown, a link is not connected, a loop is not cut, a
             joint lies off a flexible link, or a force does not fit its joint or its links.
@@ -80,6 +83,7 @@ class Mechanism(NumberTree, ChecksItself):
     start: str = AS_GIVEN
     reaction_length: float | None = None
     points: tuple[Point, ...] = ()
+    base: Base | None = None
 
     def _repr_html_(self) -> str:
         return mechanism_html(self)
@@ -96,6 +100,9 @@ class Mechanism(NumberTree, ChecksItself):
         checks.convert("start", require_choice, STARTS, "start")
         checks.convert("forces", _unique, Force, "forces")
         checks.convert("points", _unique, Point, "points")
+        if self.base is not None:
+            write = 'write for example Base("12e-6 1/K", temperature="20 K").'
+            checks.convert("base", require_instance, "base", Base, write)
         checks.relation(("links", "joints"), self._check_structure)
         checks.relation(("links", "joints", "forces"), self._resolve_forces)
         checks.relation(("links", "joints", "forces", "points"), self._check_points)

@@ -54,6 +54,7 @@ def study_schema() -> Schema:
         "springs": _list_of(those("[[mechanism.springs]]")),
         "forces": _list_of(those("[[mechanism.forces]]")),
         "points": _list_of([one("[[mechanism.points]]")]),
+        "base": one("[mechanism.base]"),
     }
     drives = those("[drive]")
     methods = {"method": _word(name for kind in METHOD_CLASSES.values() for name in kind.names)}

@@ -36,6 +36,7 @@ from rfem_jax.description.drives.translations import (
     PrescribedRunUp,
     PrescribedSpeed,
 )
+from rfem_jax.description.mechanism.bases import Base
 from rfem_jax.description.mechanism.links import Link, PointMass
 from rfem_jax.description.mechanism.materials import Material
 from rfem_jax.description.mechanism.mechanism import STARTS, Mechanism
@@ -59,7 +60,8 @@ DRIVES = {
     "prescribed_displacements": PrescribedDisplacements,
 }
 _MECHANISM_OPTIONS = ("gravity", "redundant_reactions", "reaction_length", "elements")
-MECHANISM_KEYS = (("links", "joints"), ("materials", "sections", "springs", "forces", "points", *_MECHANISM_OPTIONS))
+_MECHANISM_TABLES = ("materials", "sections", "springs", "forces", "points", "base")
+MECHANISM_KEYS = (("links", "joints"), (*_MECHANISM_TABLES, *_MECHANISM_OPTIONS))
 SIMULATION_KEYS = (("duration",), ("method", "save_every", "start"))  # and the settings of the method
 
 
@@ -78,6 +80,8 @@ def read_mechanism(table: object) -> Mechanism:
     parts["links"] = all_of("links", _read_link, materials, sections)
     joints, springs, forces = all_of("joints", read_joint), all_of("springs", read_spring), all_of("forces", read_force)
     parts["points"] = all_of("points", partial(read_table, Point))
+    if "base" in content:
+        parts["base"] = problems.attempt(read_table, Base, content["base"], "[mechanism.base]")
     parts["joints"] = joints if joints is ABSENT else [joint for joint, _ in joints]
     known = ABSENT not in (joints, springs, forces)
     parts["forces"] = [*(one for _, some in joints for one in some), *springs, *forces] if known else ABSENT

@@ -39,6 +39,7 @@ from rfem_jax.mechanics.model.errors import AssemblyErrors, assembly_errors, req
 from rfem_jax.mechanics.model.model import BASE, Model, Topology, rfe_fractions
 from rfem_jax.mechanics.model.sources import NOTHING, Blueprint, Source
 from rfem_jax.mechanics.model.status import DESIGN_OUT_OF_RANGE, NOT_CLOSED, OK, STATUS
+from rfem_jax.mechanics.model.warmth import growths
 from rfem_jax.mechanics.statics.start_closure import close_start
 
 ROUNDING = 1e-12  # of a link's length: a load along it may end beyond it by so much
@@ -335,6 +336,8 @@ def _possible(parts: Parts, numbers: list[tuple[Parameter, Array]]) -> Bool[Arra
         if isinstance(force, DistributedForce):
             begin, end = force.along(link := parts.link(force.link))
             good = good & (jnp.asarray(begin) >= 0.0) & (begin < end) & (end <= link.length * (1.0 + ROUNDING))
+    for growth in growths(parts).values():
+        good = good & (growth > 0.0)
     for link in parts.links:
         if isinstance(link.section, Tube):
             good = good & (jnp.asarray(link.section.inner_diameter) > 0.0)
