@@ -39,6 +39,7 @@ from rfem_jax.description.drives.translations import (
     PrescribedRunUp,
     PrescribedSpeed,
 )
+from rfem_jax.description.mechanism.bases import Base
 from rfem_jax.description.mechanism.bearings import Bearing
 from rfem_jax.description.mechanism.clearance import Clearance
 from rfem_jax.description.mechanism.compliance import Compliance
@@ -82,6 +83,7 @@ from rfem_jax.description.study_file.study import Case, Study, load_study
 
 __all__ = [
     "Automatic",
+    "Base",
     "Bearing",
     "Case",
     "Circle",

@@ -29,6 +29,12 @@ name = "P"
 link = "one"
 position = 0.01
 """
+BASE = """
+[mechanism.base]
+thermal_expansion = "23e-6 1/K"
+temperature = "5 K"
+"""
+MORE = FORCES + POINT_FORCES + LINES + SPRINGS + POINTS + BASE
 DRIVES = """
 [drive]
 joint = "A"
@@ -136,7 +142,17 @@ def asked(tmp_path, monkeypatch):
     for drive in [full[start:end], *(f"[drive]{part}" for part in DRIVES.split("[drive]")[1:])]:
         path = tmp_path / "study.toml"
         path.write_text(
-            full[:start] + FORCES + POINT_FORCES + LINES + SPRINGS + POINTS + drive + full[end:] + ALL_TASKS + OPTIMISE,
+            full[:start]
+            + FORCES
+            + POINT_FORCES
+            + LINES
+            + SPRINGS
+            + POINTS
+            + BASE
+            + drive
+            + full[end:]
+            + ALL_TASKS
+            + OPTIMISE,
             encoding="utf-8",
         )
         load_study(path)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from rfem_jax import (
+    Base,
     Circle,
     Clearance,
     Compliance,
@@ -33,6 +34,7 @@ from rfem_jax import (
     Rectangle,
     RigidBody,
     Tube,
+    assembly_errors,
     design,
     designed,
     discretise,
@@ -44,7 +46,8 @@ from rfem_jax.mechanics.model.building import PartStructure, arrays_of
 from rfem_jax.mechanics.statics.designs import _plan_of
 from tests.mechanisms import STEEL, TABLE
 
-BRASS = Material("brass", youngs_modulus=1e11, density=8400.0, shear_modulus=3.7e10, damping=2e-5)
+BRASS = Material("brass", youngs_modulus=1e11, density=8400.0, shear_modulus=3.7e10, damping=2e-5,
+                 thermal_expansion=19e-6)  # fmt: skip
 GIVEN = GivenSection(
     2e7, 7e6, 6e6, 150.0, 180.0, 120.0, 0.7, 1.4e-5, 8e-6, 6e-6, 1e-5, edge_y=5e-3, edge_z=6e-3, edge_modulus=2e11,
     torsion_modulus=2e-7, name="given",
@@ -79,12 +82,14 @@ def chain_of_everything():
     links = [
         Link("a", 0.1, Rectangle(0.012, 0.01, name="bar"), STEEL, rigid=True),
         Link("b", 0.2, Tube(0.016, 0.001, name="tube"), STEEL, rfes=2),
-        Link("c", 0.15, Circle(0.01), BRASS, rigid=True,
+        Link("c", 0.15, Circle(0.01), BRASS, rigid=True, temperature=200.0,
              point_masses=[PointMass(0.1, (0.06, 0.01, -0.02), (1e-5, 2e-5, 2.5e-5))]),
-        Link("d", 0.25, GIVEN, rfes=3, point_masses=[PointMass(0.2, (0.1, 0.0, 0.01), (1e-5, 1e-5, 1e-5))]),
+        Link("d", 0.25, GIVEN, rfes=3, temperature=80.0, thermal_expansion=2e-5,
+             point_masses=[PointMass(0.2, (0.1, 0.0, 0.01), (1e-5, 1e-5, 1e-5))]),
         Link("e", 0.12, body=RigidBody(0.3, (0.04, 0.01, -0.02), (3e-4, 4e-4, 5e-4), (0.1, 0.2, -0.3))),
-        Link("f", 0.12, body=RigidBody(0.3, (0.04, 0.01, -0.02), TENSOR, (0.0, 0.2, 0.1))),
-        Link("g", 0.1, Tube(0.02, 0.003, shear_factor=1.9), BRASS, rfes=2),
+        Link("f", 0.12, body=RigidBody(0.3, (0.04, 0.01, -0.02), TENSOR, (0.0, 0.2, 0.1)),
+             temperature=9.0, thermal_expansion=-1e-5),
+        Link("g", 0.1, Tube(0.02, 0.003, shear_factor=1.9), BRASS, rfes=2, temperature=-50.0),
         Link("h", 0.1, Rectangle(0.008, 0.014), STEEL, rigid=True),
         Link("i", 0.1, Circle(0.01, name="rod"), STEEL, rfes=2),
         Link("j", 0.1, Rectangle(0.012, 0.01, name="bar"), STEEL, rigid=True),
@@ -126,7 +131,8 @@ def chain_of_everything():
         DistributedForce("wind", "d", (30.0, -20.0, 30.0), (5.0, 40.0, -9.0), begin=0.04, end=0.2, axes="link"),
         DistributedForce("rain", "h", rows, times=[0, 0.1, 0.2], begin=0.02),
     ]  # fmt: skip
-    return Mechanism(links, joints, driven_joint=["A", "C.T_y"], forces=forces, gravity=(1.0, -2.0, -9.0))
+    base, gravity = Base(12e-6, 40.0), (1.0, -2.0, -9.0)
+    return Mechanism(links, joints, driven_joint=["A", "C.T_y"], forces=forces, gravity=gravity, base=base)
 
 
 def loop_of_everything():
@@ -134,7 +140,7 @@ def loop_of_everything():
     links = [
         Link("crank", 0.12, Tube(0.016, 0.001, name="tube"), STEEL, rigid=True),
         Link("coupler", 0.3, Circle(0.01, name="rod"), STEEL, rfes=2),
-        Link("rocker", 0.3, Tube(0.02, 0.003, shear_factor=1.9, name="thick"), BRASS, rfes=2,
+        Link("rocker", 0.3, Tube(0.02, 0.003, shear_factor=1.9, name="thick"), BRASS, rfes=2, temperature=10.0,
              point_masses=[PointMass(0.2, (0.1, 0.0, 0.01), (1e-5, 1e-5, 1e-5))]),
     ]  # fmt: skip
     joints = [
@@ -234,7 +240,9 @@ def test_every_number_alone_changes_what_its_description_would(described, model)
         value, full = changed(named[name]), named[name].full
         wanted = leaves_of(arrays_of(parts_of(with_values(described, {name: value})), structure))
         differ = {path for path in nominal if (wanted[path] != nominal[path]).any()}
-        changes = dict(zip(nominal, _plan_of(source.blueprint, model.topology, (full,)).changes, strict=True))
+        plan = _plan_of(source.blueprint, model.topology, (full,))
+        flags = [one for one in jax.tree.leaves(plan.changes) if not isinstance(one, str)]
+        changes = dict(zip(nominal, flags, strict=True))
         assert differ and differ <= {path for path in nominal if changes[path]}, name
 
 
@@ -281,3 +289,22 @@ def test_all_numbers_together_are_what_their_description_would_be(described, mod
     scale = np.maximum(abs(np.asarray(change)), 1e-6 * np.maximum(abs(np.asarray(found)), 1e-6))
     np.testing.assert_array_less(abs(np.asarray(difference - change)) / scale, 1e-6)
     assert float(pulled @ along) == pytest.approx(float(cotangent @ change), rel=1e-9)
+
+
+def test_designs_and_deviations_outside_of_a_program(described, model):
+    """Programs know things by other names, in another order than here: each array is the one of its own thing."""
+    named, blueprint = parameters(model), model.source.blueprint
+    structure = PartStructure(model.topology, blueprint.points, blueprint.products)
+    for owner in ("across", "follower", "return"):
+        numbers = [name for name in named if name.startswith(f"{owner}.") and not name.endswith(OUT_OF_PLANE)]
+        numbers = [name for name in numbers if "position" not in name and "orientation" not in name]
+        values = {name: changed(named[name]) for name in numbers if ".start" not in name}
+        if not values:
+            continue  # it is of the other mechanism
+        wanted = leaves_of(arrays_of(parts_of(with_values(described, values)), structure))
+        more = {name: value - named[name].value for name, value in values.items()}
+        for one in (designed(model, design(model, values)), designed(model, None, assembly_errors(model, more))):
+            found = leaves_of(one.model)
+            for path in wanted:
+                if not path.startswith((".start_joints", ".cut_angles")):
+                    np.testing.assert_allclose(found[path], wanted[path], rtol=1e-9, atol=1e-12, err_msg=path)

@@ -3,7 +3,7 @@
 Place in the pipeline: used by all of `description`, and wherever a number or a string with a unit
 ("0.5 deg", "0.5 mm", "210 GPa", "1.5 N m", "7.85 g/cm^3") enters; imports only `errors`.
 
-A dimension is the tuple of exponents of (kg, m, s, rad); the angle counts as a base quantity, so
+A dimension is the tuple of exponents of (kg, m, s, rad, K); the angle counts as a base quantity, so
 that a rate in "Hz" or a length in "deg" is refused. SI units, angles in radians.
 """
 
@@ -48,42 +48,44 @@ RANGES = {  # of other dimensions: smallest (where a value must be positive) and
     "hertz_stiffness": (1e-20, 1e25),
 }
 
-# name: (exponents of kg, m, s, rad; SI unit; an example of a string with a unit)
+# name: (exponents of kg, m, s, rad, K; SI unit; an example of a string with a unit)
 DIMENSIONS = {
-    "none": ((0, 0, 0, 0), "1", "5 %"),
-    "length": ((0, 1, 0, 0), "m", "0.5 mm"),
-    "angle": ((0, 0, 0, 1), "rad", "0.5 deg"),
-    "mass": ((1, 0, 0, 0), "kg", "20 g"),
-    "time": ((0, 0, 1, 0), "s", "10 ms"),
-    "area": ((0, 2, 0, 0), "m^2", "100 mm^2"),
-    "second_moment": ((0, 4, 0, 0), "m^4", "833 mm^4"),
-    "section_modulus": ((0, 3, 0, 0), "m^3", "208 mm^3"),
-    "density": ((1, -3, 0, 0), "kg/m^3", "7.85 g/cm^3"),
-    "pressure": ((1, -1, -2, 0), "Pa", "210 GPa"),
-    "force": ((1, 1, -2, 0), "N", "12 kN"),
-    "moment": ((1, 2, -2, 0), "N m", "1.5 N m"),
-    "line_load": ((1, 0, -2, 0), "N/m", "2 kN/m"),
-    "rate": ((0, 0, -1, 1), "rad/s", "60 rpm"),
-    "speed": ((0, 1, -1, 0), "m/s", "0.2 m/s"),
-    "acceleration": ((0, 1, -2, 0), "m/s^2", "9.81 m/s^2"),
-    "axial_stiffness": ((1, 1, -2, 0), "N", "21 MN"),
-    "bending_stiffness": ((1, 3, -2, 0), "N m^2", "175 N m^2"),
-    "line_density": ((1, -1, 0, 0), "kg/m", "0.785 kg/m"),
-    "rotary_inertia": ((1, 1, 0, 0), "kg m", "6.5e-6 kg m"),
-    "moment_of_inertia": ((1, 2, 0, 0), "kg m^2", "2 kg mm^2"),
-    "stiffness": ((1, 0, -2, 0), "N/m", "12 N/mm"),
-    "rotational_stiffness": ((1, 2, -2, -1), "N m/rad", "3 N m/deg"),
-    "hertz_stiffness": ((1, -0.5, -2, 0), "N/m^1.5", "60 kN/mm^1.5"),
-    "damping": ((1, 0, -1, 0), "N s/m", "5 N s/m"),
-    "rotational_damping": ((1, 2, -1, -1), "N m s/rad", "0.1 N m s/rad"),
-    "contact_damping": ((0, -1, 1, 0), "s/m", "0.2 s/m"),
-    "rotational_contact_damping": ((0, 0, 1, -1), "s/rad", "0.2 s/rad"),
-    "length_per_angle": ((0, 1, 0, -1), "m/rad", "5 mm/rev"),
-    "angle_per_length": ((0, -1, 0, 1), "rad/m", "36 deg/mm"),
+    "none": ((0, 0, 0, 0, 0), "1", "5 %"),
+    "length": ((0, 1, 0, 0, 0), "m", "0.5 mm"),
+    "angle": ((0, 0, 0, 1, 0), "rad", "0.5 deg"),
+    "mass": ((1, 0, 0, 0, 0), "kg", "20 g"),
+    "temperature": ((0, 0, 0, 0, 1), "K", "40 K"),
+    "thermal_expansion": ((0, 0, 0, 0, -1), "1/K", "12e-6 1/K"),
+    "time": ((0, 0, 1, 0, 0), "s", "10 ms"),
+    "area": ((0, 2, 0, 0, 0), "m^2", "100 mm^2"),
+    "second_moment": ((0, 4, 0, 0, 0), "m^4", "833 mm^4"),
+    "section_modulus": ((0, 3, 0, 0, 0), "m^3", "208 mm^3"),
+    "density": ((1, -3, 0, 0, 0), "kg/m^3", "7.85 g/cm^3"),
+    "pressure": ((1, -1, -2, 0, 0), "Pa", "210 GPa"),
+    "force": ((1, 1, -2, 0, 0), "N", "12 kN"),
+    "moment": ((1, 2, -2, 0, 0), "N m", "1.5 N m"),
+    "rate": ((0, 0, -1, 1, 0), "rad/s", "60 rpm"),
+    "speed": ((0, 1, -1, 0, 0), "m/s", "0.2 m/s"),
+    "acceleration": ((0, 1, -2, 0, 0), "m/s^2", "9.81 m/s^2"),
+    "axial_stiffness": ((1, 1, -2, 0, 0), "N", "21 MN"),
+    "bending_stiffness": ((1, 3, -2, 0, 0), "N m^2", "175 N m^2"),
+    "line_density": ((1, -1, 0, 0, 0), "kg/m", "0.785 kg/m"),
+    "rotary_inertia": ((1, 1, 0, 0, 0), "kg m", "6.5e-6 kg m"),
+    "moment_of_inertia": ((1, 2, 0, 0, 0), "kg m^2", "2 kg mm^2"),
+    "stiffness": ((1, 0, -2, 0, 0), "N/m", "12 N/mm"),
+    "line_load": ((1, 0, -2, 0, 0), "N/m", "2 kN/m"),
+    "rotational_stiffness": ((1, 2, -2, -1, 0), "N m/rad", "3 N m/deg"),
+    "hertz_stiffness": ((1, -0.5, -2, 0, 0), "N/m^1.5", "60 kN/mm^1.5"),
+    "damping": ((1, 0, -1, 0, 0), "N s/m", "5 N s/m"),
+    "rotational_damping": ((1, 2, -1, -1, 0), "N m s/rad", "0.1 N m s/rad"),
+    "contact_damping": ((0, -1, 1, 0, 0), "s/m", "0.2 s/m"),
+    "rotational_contact_damping": ((0, 0, 1, -1, 0), "s/rad", "0.2 s/rad"),
+    "length_per_angle": ((0, 1, 0, -1, 0), "m/rad", "5 mm/rev"),
+    "angle_per_length": ((0, -1, 0, 1, 0), "rad/m", "36 deg/mm"),
 }
 
-_KG, _M, _S, _RAD = (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)
-_N, _PA, _NM = (1, 1, -2, 0), (1, -1, -2, 0), (1, 2, -2, 0)
+_KG, _M, _S, _RAD, _K = (1, 0, 0, 0, 0), (0, 1, 0, 0, 0), (0, 0, 1, 0, 0), (0, 0, 0, 1, 0), (0, 0, 0, 0, 1)
+_N, _PA, _NM = (1, 1, -2, 0, 0), (1, -1, -2, 0, 0), (1, 2, -2, 0, 0)
 UNITS = {
     "m": (1.0, _M), "km": (1e3, _M), "dm": (1e-1, _M), "cm": (1e-2, _M), "mm": (1e-3, _M),
     "um": (1e-6, _M), "in": (0.0254, _M), "ft": (0.3048, _M),
@@ -96,8 +98,9 @@ UNITS = {
     "Pa": (1.0, _PA), "kPa": (1e3, _PA), "MPa": (1e6, _PA), "GPa": (1e9, _PA), "bar": (1e5, _PA),
     "psi": (6894.757293168361, _PA),
     "Nm": (1.0, _NM), "kNm": (1e3, _NM), "Nmm": (1e-3, _NM),
-    "rpm": (math.pi / 30, (0, 0, -1, 1)), "Hz": (1.0, (0, 0, -1, 0)),
-    "%": (1e-2, (0, 0, 0, 0)), "1": (1.0, (0, 0, 0, 0)),
+    "rpm": (math.pi / 30, (0, 0, -1, 1, 0)), "Hz": (1.0, (0, 0, -1, 0, 0)),
+    "K": (1.0, _K),
+    "%": (1e-2, (0, 0, 0, 0, 0)), "1": (1.0, (0, 0, 0, 0, 0)),
 }  # fmt: skip
 
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$", re.DOTALL)
@@ -251,7 +254,7 @@ def _unit(unit: str, text: str, where: str, dimension: str) -> tuple[float, tupl
     """Return (factor to SI, exponents) of a product of units such as "kg/m^3" or "N m^2"."""
     wanted, _, example = DIMENSIONS[dimension]
     exponents: tuple[int | float, ...]
-    factor, exponents = 1.0, (0, 0, 0, 0)
+    factor, exponents = 1.0, (0, 0, 0, 0, 0)
     for position, part in enumerate(unit.replace("**", "^").split("/")):
         factors = re.split(r"[\s*]+", part.strip())
         for symbol in factors:

@@ -32,8 +32,9 @@ from rfem_jax.description.basics.numbers import (
     number,
     number_vector,
     positive_number,
+    read_number,
 )
-from rfem_jax.description.basics.units import short
+from rfem_jax.description.basics.units import Quantity, short
 from rfem_jax.description.mechanism.materials import Material
 from rfem_jax.description.mechanism.rigid_bodies import RigidBody
 from rfem_jax.description.mechanism.sections import (
@@ -104,6 +105,9 @@ class Link(NumberTree, ChecksItself):
         rfes: number n of rigid finite elements of a flexible link; 1 is the same as rigid.
         point_masses: PointMass objects on the link.
         body: a RigidBody in the place of section and material; the link is rigid.
+        temperature: its difference to the temperature of assembly [K], by which it and all places on it grow by the
+            share thermal_expansion * temperature.
+        thermal_expansion: alpha [1/K]; None: that of its material.
     Raises:
         InputError: a value is out of range or of the wrong kind.
     """
@@ -116,6 +120,13 @@ class Link(NumberTree, ChecksItself):
     rfes: int = _USUAL_RFES
     point_masses: tuple[PointMass, ...] = ()
     body: RigidBody | None = None
+    temperature: Quantity | None = None
+    thermal_expansion: Quantity | None = None
+
+    numbers: ClassVar[Fields] = {
+        "temperature": ("temperature", ANY),
+        "thermal_expansion": ("thermal_expansion", ANY),
+    }
 
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("name", require_name, "`name` of a link", ("base",))
@@ -130,6 +141,10 @@ class Link(NumberTree, ChecksItself):
             write = "write for example RigidBody(0.5, (0.05, 0.0, 0.0), (1e-4, 3e-4, 3e-4))."
             checks.convert("body", require_instance, f"`body` {of}", RigidBody, write)
             checks.relation(("section", "material", "body"), self._check_body, of)
+        for name, field in self.numbers.items():
+            if getattr(self, name) is not None:
+                checks.convert(name, read_number, field, f"`{name}` {of}")
+        checks.relation(("material", "temperature", "thermal_expansion"), self._check_temperature, of)
         checks.convert("rigid", require_flag, f"`rigid` {of}")
         checks.convert("rfes", _number_of_rfes, of)
         checks.convert("point_masses", _masses, of)
@@ -147,6 +162,13 @@ class Link(NumberTree, ChecksItself):
             raise InputError(
                 f"Argument `material` {of} must be a Material, but was {self.material!r}; "
                 "a section needs one for its stiffness and its mass."
+            )
+
+    def _check_temperature(self, of: str) -> None:
+        if self.temperature is not None and self.expansion is None:
+            raise InputError(
+                f"Argument `temperature` {of} must be left out where nothing says by how much the link grows, but was "
+                f"{short(self.temperature)}; give `thermal_expansion` of its material, or of the link."
             )
 
     def _check_body(self, of: str) -> None:
@@ -175,6 +197,13 @@ class Link(NumberTree, ChecksItself):
     def elements(self) -> int:
         """Number of rigid finite elements; 1 for a rigid link."""
         return 1 if self.rigid or self.body is not None else self.rfes
+
+    @property
+    def expansion(self) -> Number | None:
+        """Its thermal expansion [1/K]; None where none is given."""
+        if self.thermal_expansion is not None:
+            return self.thermal_expansion  # pyright: ignore[reportReturnType]  # converted
+        return None if self.material is None else self.material.thermal_expansion  # pyright: ignore[reportReturnType]
 
     @property
     def flexible(self) -> bool:

@@ -3,8 +3,8 @@
 Place in the pipeline: a section combines with a material to stiffnesses per length (`sections`).
 
 Symbols: youngs_modulus E [Pa]; shear_modulus G [Pa]; poisson_ratio nu [1], G = E / (2 (1 + nu));
-density rho [kg/m^3]; damping eta [s] (Kelvin-Voigt: damping matrix = eta * stiffness matrix).
-Source: theory (1.1), (1.7).
+density rho [kg/m^3]; damping eta [s] (Kelvin-Voigt: damping matrix = eta * stiffness matrix); thermal_expansion alpha
+[1/K]. Source: theory (1.1), (1.7), (2.21).
 """
 
 from dataclasses import dataclass
@@ -36,6 +36,7 @@ class Material(NumberTree, ChecksItself):
         poisson_ratio: nu, -1 < nu <= 0.5; give either this or `shear_modulus`.
         shear_modulus: G [Pa], > 0.
         damping: eta [s], >= 0.
+        thermal_expansion: alpha [1/K], by which links of another temperature than at assembly change their lengths.
     Raises:
         InputError: a value is out of range, or not exactly one of nu and G is given.
     """
@@ -46,6 +47,7 @@ class Material(NumberTree, ChecksItself):
     poisson_ratio: float | None = None
     shear_modulus: float | None = None
     damping: float = 0.0
+    thermal_expansion: Quantity | None = None
 
     numbers: ClassVar[Fields] = {
         "youngs_modulus": ("pressure", POSITIVE),
@@ -53,6 +55,7 @@ class Material(NumberTree, ChecksItself):
         "poisson_ratio": ("none", ANY),
         "shear_modulus": ("pressure", POSITIVE),
         "damping": ("time", NOT_NEGATIVE),
+        "thermal_expansion": ("thermal_expansion", ANY),
     }
 
     def _check_fields(self, checks: Checks) -> None:
@@ -64,8 +67,8 @@ class Material(NumberTree, ChecksItself):
                 f"Argument `poisson_ratio` {where} must be given or else `shear_modulus`, "
                 f"but {given}; give exactly one of the two."
             )
-        for name in ("youngs_modulus", "density", "damping", "shear_modulus"):
-            if name != "shear_modulus" or self.shear_modulus is not None:
+        for name in ("youngs_modulus", "density", "damping", "shear_modulus", "thermal_expansion"):
+            if name not in ("shear_modulus", "thermal_expansion") or getattr(self, name) is not None:
                 checks.convert(name, read_number, self.numbers[name], f"`{name}` {where}")
         if self.poisson_ratio is not None:
             checks.convert("poisson_ratio", _poisson_ratio, f"`poisson_ratio` {where}")

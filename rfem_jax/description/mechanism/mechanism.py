@@ -18,6 +18,7 @@ from rfem_jax.description.basics.errors import (
     InputError,
     Problems,
     require_choice,
+    require_instance,
     subject,
     suggestion,
 )
@@ -26,6 +27,7 @@ from rfem_jax.description.basics.notebook_tables import mechanism_html
 from rfem_jax.description.basics.numbers import NumberTree, is_known, number_vector
 from rfem_jax.description.basics.units import positive_quantity
 from rfem_jax.description.drives.driven_motions import plain_motion
+from rfem_jax.description.mechanism.bases import Base
 from rfem_jax.description.mechanism.couplings import Coupling
 from rfem_jax.description.mechanism.forces import Force, JointForce, JointFriction
 from rfem_jax.description.mechanism.joints import Joint
@@ -71,6 +73,7 @@ class Mechanism(NumberTree, ChecksItself):
         points: Point objects, whose paths runs follow.
         shaking_point: (x, y, z) [m] in global axes, about which the moment on the base is taken; given, studies report
             what shakes the base; None: the origin of the base.
+        base: a Base, whose places move apart with its temperature; None: they stay.
     Raises:
         InputError: names clash or are unknown, a link is not connected, a loop is not cut, a
             joint lies off a flexible link, or a force does not fit its joint or its links.
@@ -87,6 +90,7 @@ class Mechanism(NumberTree, ChecksItself):
     reaction_length: float | None = None
     points: tuple[Point, ...] = ()
     shaking_point: tuple[float, float, float] | None = None
+    base: Base | None = None
 
     def _repr_html_(self) -> str:
         return mechanism_html(self)
@@ -105,6 +109,9 @@ class Mechanism(NumberTree, ChecksItself):
         checks.convert("points", _unique, Point, "points")
         if self.shaking_point is not None:
             checks.convert("shaking_point", number_vector, "length", "shaking_point")
+        if self.base is not None:
+            write = 'write for example Base("12e-6 1/K", temperature="20 K").'
+            checks.convert("base", require_instance, "base", Base, write)
         checks.relation(("links", "joints"), self._check_structure)
         checks.relation(("links", "joints", "forces"), self._resolve_forces)
         checks.relation(("links", "joints", "forces", "points"), self._check_points)

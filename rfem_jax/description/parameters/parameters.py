@@ -124,6 +124,7 @@ _AT_THE_END = "is left out and lies at the link's end; set the link's length, or
 _FOUND = "follows from closing the loops or from assembly; only what a drive holds is given"
 _FOLLOWING = {
     "shear_factor": "is derived from the diameters; give it in the description",
+    "temperature": "has no `thermal_expansion`; give it with the material, the link or the base",
     "angle": _FOUND,
     "displacement": _FOUND,
     **{f"{place}.{axis}": _AT_THE_END for place in ("position", "child_position") for axis in COMPONENTS},
@@ -143,7 +144,14 @@ _last: dict[str, tuple[Mechanism, ParameterNames]] = {}
 
 def named_parameters(parts: Parts, held: Sequence[tuple[str, str]]) -> ParameterNames:
     """All parameters of parts; `held`: joints and motions whose start values drives hold."""
-    found = [*_of_links(parts), *_of_joints(parts, held), *_of_forces(parts), *_of_points(parts), *_of_gravity()]
+    found = [
+        *_of_links(parts),
+        *_of_joints(parts, held),
+        *_of_forces(parts),
+        *_of_points(parts),
+        *_of_base(parts),
+        *_of_gravity(),
+    ]
     kinds: dict[str, list[str]] = {}
     for one in found:
         kind, owner, *_ = one.full.split(".")
@@ -181,6 +189,7 @@ def _of_links(parts: Parts) -> Iterator[Parameter]:
     for i, link in enumerate(parts.links):
         owner, path = ("link", link.name), ("links", i)
         yield _parameter(owner, "length", ("length", POSITIVE), [(*path, "length")])
+        yield from _fields(owner, link, link.numbers, [path])
         if link.body is not None:
             yield from _of_body(owner, link.body, (*path, "body"))
         for n, mass in enumerate(link.point_masses, start=1):
@@ -305,6 +314,12 @@ def _force_fields(force: Force, parts: Parts) -> Fields:
 def _of_points(parts: Parts) -> Iterator[Parameter]:
     for i, point in enumerate(parts.points):
         yield from _fields(("point", point.name), point, point.numbers, [("points", i)])
+
+
+def _of_base(parts: Parts) -> Iterator[Parameter]:
+    """Of a base that grows with its temperature."""
+    for name, (dimension, sign) in {} if parts.base is None else parts.base.numbers.items():
+        yield Parameter(f"mechanism.base.{name}", f"base.{name}", dimension, sign, (("base", name),))
 
 
 def _of_gravity() -> Iterator[Parameter]:

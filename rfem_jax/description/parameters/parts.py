@@ -12,6 +12,7 @@ from typing import Any
 import equinox as eqx
 
 from rfem_jax.description.basics.numbers import Number, NumberTree
+from rfem_jax.description.mechanism.bases import Base
 from rfem_jax.description.mechanism.compliance import SprungDirection
 from rfem_jax.description.mechanism.forces import Force
 from rfem_jax.description.mechanism.joints import Joint
@@ -25,7 +26,7 @@ Path = tuple[str | int, ...]
 @dataclass(frozen=True)
 class Parts(NumberTree):
     """Links, joints, springs of each joint, forces, gravity [m/s^2] and points, in the order of the mechanism;
-    reaction_length [m], shaking_point [m]: as of the mechanism.
+    reaction_length [m], shaking_point [m], base: as of the mechanism.
 
     Numbers may be traced: nothing here is checked, unlike in what a user makes.
     """
@@ -38,6 +39,7 @@ class Parts(NumberTree):
     reaction_length: float | None = None
     points: tuple[Point, ...] = ()
     shaking_point: tuple[float, float, float] | None = None
+    base: Base | None = None
 
     def link(self, name: str) -> Link:
         """The link of a name."""
@@ -53,9 +55,10 @@ class Parts(NumberTree):
 
 
 def parts_of(mechanism: Mechanism) -> Parts:
-    """The parts of a mechanism, with zeros for positions that are left out at the origin of a base or a child."""
+    """The parts of a mechanism, with zeros for positions that are left out at the origin of a base or a child, and for
+    temperatures of links that grow with them."""
     return Parts(
-        links=tuple(mechanism.links),
+        links=tuple(_with_temperature(link) for link in mechanism.links),
         joints=tuple(_with_positions(joint) for joint in mechanism.joints),
         springs=tuple(joint.springs for joint in mechanism.joints),
         forces=tuple(mechanism.forces),
@@ -63,7 +66,14 @@ def parts_of(mechanism: Mechanism) -> Parts:
         reaction_length=mechanism.reaction_length,
         points=tuple(mechanism.points),
         shaking_point=mechanism.shaking_point,
+        base=mechanism.base,
     )
+
+
+def _with_temperature(link: Link) -> Link:
+    if link.expansion is None or link.temperature is not None:
+        return link
+    return link.with_fields(temperature=0.0)
 
 
 def _with_positions(joint: Joint) -> Joint:

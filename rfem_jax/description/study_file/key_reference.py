@@ -12,6 +12,7 @@ from types import NoneType, UnionType
 from typing import Any, get_args
 
 from rfem_jax.description.basics.tables import keys_of
+from rfem_jax.description.mechanism.bases import Base
 from rfem_jax.description.mechanism.bearings import Bearing
 from rfem_jax.description.mechanism.clearance import Clearance
 from rfem_jax.description.mechanism.compliance import Compliance, TablesByDirection
@@ -56,6 +57,7 @@ _IN_A_FILE = {  # where a file has something else than the class
     "forces": "tables [[mechanism.forces]]",
     "couplings": "tables [[mechanism.couplings]] between coordinates of two joints",
     "points": "tables [[mechanism.points]], whose paths runs follow",
+    "base": "the table [mechanism.base], of a base that grows with its temperature",
     "section": "name of a table [mechanism.sections.NAME] (a rigid link needs it for its mass, unless it has a body)",
     "material": 'name of a table [mechanism.materials.NAME]; none with a section of shape "given"',
     "body": "table {mass = ..., centre = ..., inertia = ...} in the place of section and material; the link is rigid",
@@ -116,6 +118,7 @@ def key_tables() -> list[KeyTable]:
     tables += [*_joint_tables(), *_force_tables()]
     tables.append(_table("[[mechanism.couplings]]", Coupling, *keys_of(Coupling)))
     tables.append(_table("[[mechanism.points]]", Point, *keys_of(Point)))
+    tables.append(_table("[mechanism.base]", Base, *keys_of(Base)))
     for name, kind in DRIVES.items():
         header, own = f'[drive] or [[drives]] of kind "{name}"', {"kind": f'"{name}"'}
         tables.append(_table(header, kind, *drive_keys(name), own))

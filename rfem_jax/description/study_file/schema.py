@@ -55,6 +55,7 @@ def study_schema() -> Schema:
         "forces": _list_of(those("[[mechanism.forces]]")),
         "couplings": _list_of([one("[[mechanism.couplings]]")]),
         "points": _list_of([one("[[mechanism.points]]")]),
+        "base": one("[mechanism.base]"),
     }
     drives = those("[drive]")
     methods = {"method": _word(name for kind in METHOD_CLASSES.values() for name in kind.names)}

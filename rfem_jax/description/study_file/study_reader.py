@@ -36,6 +36,7 @@ from rfem_jax.description.drives.translations import (
     PrescribedRunUp,
     PrescribedSpeed,
 )
+from rfem_jax.description.mechanism.bases import Base
 from rfem_jax.description.mechanism.couplings import Coupling
 from rfem_jax.description.mechanism.links import Link, PointMass
 from rfem_jax.description.mechanism.materials import Material
@@ -60,10 +61,8 @@ DRIVES = {
     "prescribed_displacements": PrescribedDisplacements,
 }
 _MECHANISM_OPTIONS = ("gravity", "redundant_reactions", "reaction_length", "elements", "shaking_point")
-MECHANISM_KEYS = (
-    ("links", "joints"),
-    ("materials", "sections", "springs", "forces", "couplings", "points", *_MECHANISM_OPTIONS),
-)
+_MECHANISM_TABLES = ("materials", "sections", "springs", "forces", "couplings", "points", "base")
+MECHANISM_KEYS = (("links", "joints"), (*_MECHANISM_TABLES, *_MECHANISM_OPTIONS))
 SIMULATION_KEYS = (("duration",), ("method", "save_every", "start"))  # and the settings of the method
 
 
@@ -83,6 +82,8 @@ def read_mechanism(table: object) -> Mechanism:
     joints, springs, forces = all_of("joints", read_joint), all_of("springs", read_spring), all_of("forces", read_force)
     parts["points"] = all_of("points", partial(read_table, Point))
     couplings = all_of("couplings", partial(read_table, Coupling))
+    if "base" in content:
+        parts["base"] = problems.attempt(read_table, Base, content["base"], "[mechanism.base]")
     parts["joints"] = joints if joints is ABSENT else [joint for joint, _ in joints]
     parts["forces"] = ABSENT
     if ABSENT not in (joints, springs, forces, couplings):

@@ -46,6 +46,11 @@ def error_dimension(name: object, also: Collection[str] = ()) -> str:
             "Argument `name` of an error must be a joint or a link, a dot and the kind of error, "
             f'but was {name!r}; write for example "D.delta_x" or "coupler.length".'
         )
+    if component == "temperature":
+        raise InputError(
+            f"Argument `name` of an error must be of what grows with its temperature, but nothing says by how much "
+            f"`{owner}` does; give `thermal_expansion` of its material, of the link, or in [mechanism.base]."
+        )
     if component not in _KNOWN:
         raise InputError(
             "Argument `name` of an error must end in a known kind of error, but "

@@ -34,6 +34,7 @@ from rfem_jax.mechanics.laws.point_laws import load_at, spring_between
 from rfem_jax.mechanics.model.model import BASE, CarriedPoint, Model, Sections, Topology, rfe_fractions
 from rfem_jax.mechanics.model.orientations import quaternion_of_angles
 from rfem_jax.mechanics.model.sources import ForceNodes, source_of
+from rfem_jax.mechanics.model.warmth import warmed
 
 
 def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = False) -> Model:
@@ -96,8 +97,9 @@ def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], 
 
 
 def arrays_of(parts: Parts, structure: PartStructure) -> Model:
-    """Arrays of parts whose numbers may be traced; the structure may come from other numbers."""
+    """Arrays of parts whose numbers may be traced, at their temperatures; the structure may come from other numbers."""
     topology, points, products = structure
+    parts = warmed(parts)
     links = [parts.link(name) for name in topology.links]
     joints = [parts.joint(name) for name in topology.joints]
     seats = zip(joints, topology.parents, strict=True)

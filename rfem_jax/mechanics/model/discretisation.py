@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.description.basics.errors import InputError, require_choice
+from rfem_jax.description.basics.numbers import is_known
 from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.description.mechanism.mechanism import AS_GIVEN, ELEMENTS, EQUILIBRIUM, PLANAR, Mechanism
 from rfem_jax.description.parameters.parts import parts_of
@@ -36,6 +37,7 @@ from rfem_jax.mechanics.model.normal_loads import require_unique_normal_loads
 from rfem_jax.mechanics.model.planar_loops import model_reactions_text, reactions_across
 from rfem_jax.mechanics.model.sources import CLOSING_TOLERANCE, RIGID_CLOSING_TOLERANCE
 from rfem_jax.mechanics.model.start_freedoms import with_start_freedoms
+from rfem_jax.mechanics.model.warmth import growths
 
 SMALLEST_DISTANCE = 1e-9  # of two points with a force between them, of the longest link
 IDLE_TOLERANCE = 1e-3  # of a motion of size one
@@ -97,7 +99,7 @@ def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | No
     require_choice(elements, ELEMENTS, "elements")
     counts = {link.name: link.elements if rfes is None or link.elements == 1 else int(rfes) for link in mechanism.links}
     built = build_model(mechanism, counts, elements == "geometrically_exact")
-    model = _closed_as_given(_close(built), np.asarray(built.start_joints))
+    model = _closed_as_given(_close(built, _about_warmth(mechanism)), np.asarray(built.start_joints))
     _require_apart(model)
     structure = describe(model)
     topology = with_start_freedoms(_with_idle(model), _rates_given(model, mechanism))
@@ -349,7 +351,14 @@ def close_at(
     return joints, residual, alignment, cut_angles
 
 
-def _close(model: Model) -> Model:
+def _about_warmth(mechanism: Mechanism) -> str:
+    """What to do where loops do not close by the temperatures of a mechanism; nothing where it has none."""
+    if all(is_known(growth) and growth == 1.0 for growth in growths(parts_of(mechanism)).values()):
+        return ""
+    return " A temperature that bends links is an error of a case, or has a tolerance: give it there."
+
+
+def _close(model: Model, hint: str) -> Model:
     """Close the nominal rigid loops at the start, or say why they cannot close."""
     topology = model.topology
     if topology.n_cuts == 0:
@@ -366,7 +375,7 @@ def _close(model: Model) -> Model:
         raise InputError(
             f"Argument `mechanism` must close at its start, but joint {worst!r} stays open by "
             f"{gap:.3g} m with every link rigid; check lengths, positions and start angles (all "
-            "but the driven one are refined)."
+            f"but the driven one are refined).{hint}"
         )
     if (alignment < 0.0).any():
         worst = topology.n_links + int(alignment.argmin())

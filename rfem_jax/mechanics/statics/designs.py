@@ -11,8 +11,8 @@ long as it is shorter than half an rfe; a longer one is told by the status.
 A design that cannot be is computed with the nominal numbers, so that a batch goes on, and its status says so.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
@@ -40,6 +40,7 @@ from rfem_jax.mechanics.model.model import BASE, Model, Topology, rfe_fractions
 from rfem_jax.mechanics.model.planar_loops import require_closable
 from rfem_jax.mechanics.model.sources import NOTHING, Blueprint, Source
 from rfem_jax.mechanics.model.status import DESIGN_OUT_OF_RANGE, NOT_CLOSED, OK, STATUS
+from rfem_jax.mechanics.model.warmth import growths
 from rfem_jax.mechanics.statics.start_closure import close_start
 
 ROUNDING = 1e-12  # of a link's length: a load along it may end beyond it by so much
@@ -155,10 +156,7 @@ def designed(model: Model, design: Design | None, errors: AssemblyErrors | None 
     if plan.products and base.point_products is None:
         base = replace(base, point_products=jnp.zeros_like(base.point_inertia))
     changed, status, gap = _designed_arrays(base, source, values, deviations, plan)
-    leaves, tree = jax.tree.flatten(base)
-    new = iter(changed)
-    leaves = [next(new) if changes else leaf for leaf, changes in zip(leaves, plan.changes, strict=True)]
-    return Designed(jax.tree.unflatten(tree, leaves), left, status, gap)
+    return Designed(_with_leaves(base, plan.changes, changed), left, status, gap)
 
 
 def model_of_study(study: Study) -> Model:
@@ -203,12 +201,64 @@ def _require_possible(
         )
 
 
-class Plan(NamedTuple):
-    """The part of a model that changes with some parameters: leaves that change, start values of the joints among them;
-    closes: whether loops are to be closed; arms: whether points may leave their rfes; products: whether bodies have
-    products of inertia."""
+# Of each field of a model: of every leaf whether it changes, or, where things have names, these and likewise. Programs
+# have other names, in another order than the leaves of dictionaries here.
+Changes = tuple[tuple[bool | tuple[str, tuple[bool, ...]], ...], ...]
+FIELDS = tuple(field.name for field in fields(Model) if field.name not in ("topology", "source"))
 
-    changes: tuple[bool, ...]
+
+def _changes_of(flags: Model) -> Changes:
+    """Of a model that has flags in the place of its arrays."""
+    return tuple(
+        tuple((name, tuple(jax.tree.leaves(value[name]))) for name in sorted(value))
+        if isinstance(value, dict)
+        else tuple(jax.tree.leaves(value))
+        for value in (getattr(flags, field) for field in FIELDS)
+    )
+
+
+def _changing_leaves(model: Model, changes: Changes) -> list[Any]:
+    """The leaves of a model that change."""
+    found: list[Any] = []
+
+    def keep(part: Any, flags: Any) -> Any:
+        found.extend(leaf for leaf, wanted in zip(jax.tree.leaves(part), flags, strict=True) if wanted)
+        return part
+
+    _by_parts(model, changes, keep)
+    return found
+
+
+def _with_leaves(model: Model, changes: Changes, leaves: Sequence[Any]) -> Model:
+    """The model with others in the places of `_changing_leaves`."""
+    new = iter(leaves)
+
+    def put(part: Any, flags: Any) -> Any:
+        old, tree = jax.tree.flatten(part)
+        return tree.unflatten([next(new) if wanted else leaf for leaf, wanted in zip(old, flags, strict=True)])
+
+    return replace(model, **_by_parts(model, changes, put))
+
+
+def _by_parts(model: Model, changes: Changes, what: Callable[[Any, Any], Any]) -> dict[str, Any]:
+    """The fields of a model, of which `what` is made of each part and its flags."""
+    made: dict[str, Any] = {}
+    for field, flags in zip(FIELDS, changes, strict=True):
+        value = getattr(model, field)
+        if isinstance(value, dict):
+            named: Any = flags
+            made[field] = value | {name: what(value[name], own) for name, own in named}
+        else:
+            made[field] = what(value, flags)
+    return made
+
+
+class Plan(NamedTuple):
+    """The part of a model that changes with some parameters: leaves that change, start values of the joints among them,
+    by the fields of the model, those of things by their names; closes: whether loops are to be closed; arms: whether
+    points may leave their rfes; products: whether bodies have products of inertia."""
+
+    changes: Changes
     closes: bool
     arms: bool
     products: bool
@@ -232,7 +282,7 @@ def _plan_of(blueprint: Blueprint, topology: Topology, names: tuple[str, ...]) -
     elements = jax.tree.leaves(flags.frame_forces)
     flags = replace(flags, start_joints=moved, cut_angles=closes)
     arms = any(frames) or flags.point_position or any(elements)
-    return Plan(tuple(jax.tree.leaves(flags)), closes, arms, structure.products)
+    return Plan(_changes_of(flags), closes, arms, structure.products)
 
 
 @partial(Program, nameless=True)
@@ -267,8 +317,8 @@ def _designed_arrays(
     if plan.arms:
         possible = possible & (_longest_arm(made) <= LONGEST_ARM)
     status = jnp.where(possible, jnp.where(fits, OK, NOT_CLOSED), DESIGN_OUT_OF_RANGE).astype(jnp.int32)
-    leaves = zip(jax.tree.leaves(made), jax.tree.leaves(base), plan.changes, strict=True)
-    return [jnp.where(status == OK, new, old) for new, old, changes in leaves if changes], status, gap
+    leaves = zip(*(_changing_leaves(one, plan.changes) for one in (made, base)), strict=True)
+    return [jnp.where(status == OK, new, old) for new, old in leaves], status, gap
 
 
 def _start_values(base: Model, made: Model) -> Float[Array, " numbers"]:
@@ -288,6 +338,8 @@ def _possible(parts: Parts, numbers: list[tuple[Parameter, Array]]) -> Bool[Arra
         if isinstance(force, DistributedForce):
             begin, end = force.along(link := parts.link(force.link))
             good = good & (jnp.asarray(begin) >= 0.0) & (begin < end) & (end <= link.length * (1.0 + ROUNDING))
+    for growth in growths(parts).values():
+        good = good & (growth > 0.0)
     for link in parts.links:
         if isinstance(link.section, Tube):
             good = good & (jnp.asarray(link.section.inner_diameter) > 0.0)

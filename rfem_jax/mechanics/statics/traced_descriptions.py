@@ -127,7 +127,11 @@ def _with_stand_ins(mechanism: Mechanism) -> Mechanism:
     longest = max((abs(value) for x in distances if (value := value_of(x)) is not None), default=0.0) or 1.0
     guess: dict[int, float] = {}
     nominal = filled({})
-    for one, number in _placing(parts_of(mechanism), named_parameters(parts_of(nominal), nominal.driven_motions).all):
+    named = named_parameters(parts_of(nominal), nominal.driven_motions).all
+    # Of a temperature that is not known, lengths are those at assembly.
+    temperatures = [number_at(parts_of(mechanism), one.paths[0]) for one in named if one.dimension == "temperature"]
+    numbers |= {id(one): 0.0 for one in temperatures if id(one) in traced and id(one) not in known}
+    for one, number in _placing(parts_of(mechanism), named):
         if id(number) in traced and id(number) not in known:
             guess[id(number)] = longest if one.sign == POSITIVE else 0.0
     return filled(_closing(guess, filled) if mechanism.cut_joints else guess)
