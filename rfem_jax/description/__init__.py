@@ -74,6 +74,7 @@ from rfem_jax.description.methods import (
     Method,
     RungeKutta4,
 )
+from rfem_jax.description.metrics import coupling_metrics as coupling_metrics
 from rfem_jax.description.metrics import design_metrics as design_metrics  # they register themselves
 from rfem_jax.description.metrics import path_metrics as path_metrics
 from rfem_jax.description.study_file.study import Case, Study, load_study

@@ -2,6 +2,7 @@
 
 catalogue        all metrics by name: unit, meaning, equation
 design_metrics   masses, stresses, bearing lives and the like, which register themselves
+coupling_metrics loads of meshes, likewise
 subjects         what a metric can be of: joints, links
 reference        the metrics as a text
 """
