@@ -116,6 +116,13 @@ def test_the_files_have_both_loads(folder):
     assert [case["status"] for case in cases.values()] == ["ok", "ok"]
 
 
+def test_a_turn_has_the_loads(path, tmp_path):
+    """At rest the mesh carries nothing."""
+    assert main(["turn", str(path), "--out", str(tmp_path)]) == 0
+    found = np.genfromtxt(tmp_path / "turn.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+    assert_allclose([found["mesh_first_moment_Nm"], found["mesh_second_force_N"]], 0.0, atol=1e-9)
+
+
 def test_check_says_what_is_coupled(path, capsys):
     assert main(["check", str(path)]) == 0
     said = " ".join(capsys.readouterr().out.split())

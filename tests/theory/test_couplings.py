@@ -21,6 +21,7 @@ from rfem_jax import (
     assembly_errors,
     design,
     discretise,
+    kinetostatic_turn,
     largest_stable_step,
     simulate,
 )
@@ -234,6 +235,17 @@ class TestStatics:
         np.testing.assert_allclose(found.preload["A"].moment[1], weight * lead, rtol=1e-9)
         # The thread carries the table: the guide is without load along itself.
         np.testing.assert_allclose(found.preload["G"].force[0], 0.0, atol=1e-9 * weight)
+
+    @pytest.mark.parametrize("flanks", [{}, {"one_sided": True}], ids=["both", "one_sided"])
+    def test_a_cam_at_rest(self, flanks):
+        """The follower's spring and the mesh in series, and the moment that holds the cam by virtual work."""
+        stiffness, angles = 2e6, np.linspace(0.0, 2.0 * np.pi, 9)
+        turn = kinetostatic_turn(discretise(cam(stiffness=stiffness, **flanks)), None, angles)
+        assert (np.asarray(turn.status) == 0).all()
+        lift, slope = 0.5 * LIFT * (1.0 - np.cos(angles)), 0.5 * LIFT * np.sin(angles)
+        force = (SPRING * lift + PRELOAD) / (1.0 + SPRING / stiffness)
+        np.testing.assert_allclose(turn.couplings["lift"][:, 1], force, rtol=1e-8)
+        np.testing.assert_allclose(turn.holding, force * slope, rtol=0, atol=1e-6 * np.abs(force * slope).max())
 
     def test_willis(self):
         """A planetary train with a ring that stands: sun and planet are hung on the carrier."""
