@@ -76,6 +76,7 @@ from rfem_jax.description.methods import (
     Method,
     RungeKutta4,
 )
+from rfem_jax.description.metrics import coupling_metrics as coupling_metrics
 from rfem_jax.description.metrics import design_metrics as design_metrics  # they register themselves
 from rfem_jax.description.metrics import path_metrics as path_metrics
 from rfem_jax.description.metrics import shaking_metrics as shaking_metrics

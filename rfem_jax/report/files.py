@@ -26,6 +26,7 @@ from jaxtyping import Float
 
 from rfem_jax.compilation.keeping import state
 from rfem_jax.description.basics.joint_kinds import KINDS
+from rfem_jax.description.mechanism.couplings import Coupling
 from rfem_jax.description.mechanism.point_forces import LoadOnLink
 from rfem_jax.description.metrics.catalogue import notes_on, unit_of
 from rfem_jax.description.metrics.shaking_metrics import RECORD
@@ -142,11 +143,20 @@ def _coupling_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " t
     columns = {}
     for coupling in study.mechanism.couplings:
         history = run.couplings[coupling.name]
-        for side, turns, values in zip(("first", "second"), coupling.turns, np.asarray(history.loads).T, strict=True):
-            what, unit = ("moment", "N m") if turns else ("force", "N")
-            columns[column_name(f"{coupling.name}_{side}_{what}", unit)] = values
+        columns |= coupling_load_columns(coupling, np.asarray(history.loads))
         unit = "rad" if coupling.turns[1] else "m"
         columns[column_name(f"{coupling.name}_deflection", unit)] = np.asarray(history.deflection)
+    return columns
+
+
+def coupling_load_columns(
+    coupling: Coupling, loads: Float[np.ndarray, "rows 2"]
+) -> dict[str, Float[np.ndarray, " rows"]]:
+    """Loads of a coupling along its two coordinates, each a moment or a force."""
+    columns = {}
+    for side, turns, values in zip(("first", "second"), coupling.turns, loads.T, strict=True):
+        what, unit = ("moment", "N m") if turns else ("force", "N")
+        columns[column_name(f"{coupling.name}_{side}_{what}", unit)] = values
     return columns
 
 

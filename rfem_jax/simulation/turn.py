@@ -55,8 +55,9 @@ class Turn(eqx.Module):
     holding: moment [N m] or force [N] that holds the driven coordinate; energy [J]: elastic and of gravity; stress
     [Pa]: largest von Mises stress of every link whose section's edge is known (rigid links too); status of each
     assembly; contacts (positions, ...): of the joints with clearance, by their names; linear_error: estimated error of
-    linear elements (`linear_validity`); places [m] (positions, 3) of the points whose paths are followed, by their
-    names; in_axes: the loads in further axes, if these were asked for.
+    linear elements (`linear_validity`); places [m] (positions, 3) of the points whose paths are followed, couplings
+    (positions, 2): loads [N m, N] along their two coordinates, by their names; in_axes: the loads in further axes, if
+    these were asked for.
     """
 
     position: Float[Array, "*positions"]
@@ -69,6 +70,7 @@ class Turn(eqx.Module):
     linear_error: Float[Array, "*positions"] | None = None
     places: dict[str, Float[Array, "*positions 3"]] = eqx.field(default_factory=dict)
     in_axes: dict[str, Load] = eqx.field(default_factory=dict)
+    couplings: dict[str, Float[Array, "*positions 2"]] = eqx.field(default_factory=dict)
 
 
 def turn_positions(
@@ -180,6 +182,7 @@ def held_at(model: Model, errors: AssemblyErrors, pose: ClosedPose, stresses: bo
     k = topology.driven_coordinate
     assert k is not None, "turns are of driven mechanisms"
     inside = {} if resting.laws is None else resting.laws.inside
+    meshes = {} if resting.laws is None else resting.laws.couplings or {}
     plain = joint
     if topology.clearances:
         plain = jax.tree.map(jnp.subtract, joint, loads.contact_loads(topology, resting))
@@ -205,4 +208,5 @@ def held_at(model: Model, errors: AssemblyErrors, pose: ClosedPose, stresses: bo
         linear_error=linear_error(linear_range(actual, position)),
         places={name: one.position for name, one in point_motions(actual, resting.motion, at_rest, at_rest).items()},
         in_axes=turned,
+        couplings={name: mesh.loads for name, mesh in meshes.items()},
     )

@@ -4,7 +4,13 @@ import pytest
 
 from rfem_jax import InputError
 from rfem_jax.description.basics.joint_kinds import KINDS
-from rfem_jax.description.metrics.catalogue import JOINT_METRICS, LINK_METRICS, POINT_METRICS, RUN_METRICS
+from rfem_jax.description.metrics.catalogue import (
+    COUPLING_METRICS,
+    JOINT_METRICS,
+    LINK_METRICS,
+    POINT_METRICS,
+    RUN_METRICS,
+)
 from rfem_jax.description.metrics.reference import metric_tables
 from rfem_jax.description.metrics.subjects import JointSubject, MetricSubjects, require_metric
 
@@ -14,7 +20,7 @@ def rows(number):
 
 
 def test_every_metric_is_there_with_unit_and_meaning():
-    for number, catalogue in enumerate((JOINT_METRICS, LINK_METRICS, POINT_METRICS, RUN_METRICS)):
+    for number, catalogue in enumerate((JOINT_METRICS, LINK_METRICS, POINT_METRICS, RUN_METRICS, COUPLING_METRICS)):
         assert list(rows(number)) == list(catalogue)
         for name, row in rows(number).items():
             assert row.unit == catalogue[name].unit and len(row.meaning) > 10
@@ -25,6 +31,7 @@ def test_every_metric_is_there_with_unit_and_meaning():
     assert rows(1)["max_stress"].needs == "only where the section's edge is known"
     assert rows(2)["max_deviation"].equation == "(8.21)" and rows(2)["max_deviation"].needs == ""
     assert rows(3)["peak_drive_power"].needs == "only where a joint is driven"
+    assert rows(4)["max_mesh_force"].needs == "only where its second coordinate is a translation"
     assert rows(0)["end_displacement"].needs == "only of kinds prismatic, cylindrical, not cut"
 
 

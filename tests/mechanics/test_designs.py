@@ -10,7 +10,7 @@ import pytest
 
 from rfem_jax import STATUS, InputError, Rectangle, assemble, assembly_errors, design, designed, discretise, parameters
 from rfem_jax.mechanics.model.nominal_geometry import gaps, geometry_of, place
-from tests.mechanisms import STEEL, chain_with_forces, compliant_four_bar, four_bar
+from tests.mechanisms import STEEL, chain_with_couplings, chain_with_forces, compliant_four_bar, four_bar
 
 OUT = (("position", "y"), ("orientation", "xz"))
 OUT_OF_PLANE = tuple(f"{part}.{axis}" for part, axes in OUT for axis in axes)
@@ -59,7 +59,7 @@ def vector_of(model):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("mechanism", [compliant_four_bar, chain_with_forces])
+@pytest.mark.parametrize("mechanism", [compliant_four_bar, chain_with_forces, chain_with_couplings])
 def test_all_parameters_at_once(mechanism):
     # Not square: there the torsion constant of a rectangle has no second derivative, and differences are coarse.
     described = mechanism()

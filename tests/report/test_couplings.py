@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from rfem_jax import load_study
+from rfem_jax import InputError, load_study
 from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
 from rfem_jax.simulation.cases import run_cases
@@ -71,7 +71,7 @@ errors = {{ "mesh.eccentricity" = "0.1 mm" }}
 "mesh.pitch_error" = "0.02 deg"
 
 [sensitivity]
-metrics = ["G.end_displacement"]
+metrics = ["G.end_displacement", "mesh.max_mesh_force", "*.peak_mesh_force"]
 """
 
 
@@ -116,6 +116,13 @@ def test_the_files_have_both_loads(folder):
     assert [case["status"] for case in cases.values()] == ["ok", "ok"]
 
 
+def test_a_turn_has_the_loads(path, tmp_path):
+    """At rest the mesh carries nothing."""
+    assert main(["turn", str(path), "--out", str(tmp_path)]) == 0
+    found = np.genfromtxt(tmp_path / "turn.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+    assert_allclose([found["mesh_first_moment_Nm"], found["mesh_second_force_N"]], 0.0, atol=1e-9)
+
+
 def test_check_says_what_is_coupled(path, capsys):
     assert main(["check", str(path)]) == 0
     said = " ".join(capsys.readouterr().out.split())
@@ -136,3 +143,20 @@ def test_errors_have_sensitivities(path, capsys):
     # The way is ratio times the angle, 4 rad, and the radius times the pitch error.
     gradient = found["metrics"]["G.end_displacement"]["gradient"]
     assert_allclose([gradient["mesh.ratio"], gradient["mesh.pitch_error"]], [4.0, RADIUS], rtol=1e-7)
+    # The perfect mesh carries nothing in even motion but what the first instants ask for.
+    assert {"mesh.max_mesh_force", "mesh.peak_mesh_force"} < set(found["metrics"])
+
+
+@pytest.mark.parametrize(
+    ("name", "pieces"),
+    [
+        ("mesh.max_mesh_moment", ("second coordinate is a translation", "`max_mesh_force`")),
+        ("mseh.max_mesh_force", ("no coupling `mseh`", "did you mean `mesh`?")),
+    ],
+)
+def test_wrong_metrics_are_told(path, name, pieces, tmp_path):
+    file = tmp_path / "wrong.toml"
+    file.write_text(STUDY.replace("mesh.max_mesh_force", name), encoding="utf-8")
+    with pytest.raises(InputError) as raised:
+        load_study(file)
+    assert all(piece in str(raised.value) for piece in pieces)

@@ -21,12 +21,13 @@ from rfem_jax import (
     assembly_errors,
     design,
     discretise,
+    kinetostatic_turn,
     largest_stable_step,
     simulate,
 )
 from rfem_jax.simulation.stability import eigenvalues
 from tests.derivatives import check_derivatives
-from tests.mechanisms import body
+from tests.mechanisms import body, link
 
 ONE, TWO, RATIO, STIFFNESS, MOMENT = 0.02, 0.05, -0.5, 1e4, 3.0
 NO_GRAVITY = (0.0, 0.0, 0.0)
@@ -182,8 +183,8 @@ class TestCam:
     """One degree of freedom: the contact force is that of the follower's mass and spring on the lift."""
 
     def test_contact_force_and_moment_of_the_cam(self):
-        # The damping of small vibrations is chi times the force: 2 zeta omega mass, here with zeta about 0.04.
-        model = discretise(cam(stiffness=2e6, one_sided=True, contact_damping=900.0))
+        # The damping of small vibrations is chi times the force, here about that of creeping.
+        model = discretise(cam(stiffness=2e6, one_sided=True, contact_damping=20.0))
         run = simulate(
             Simulation(
                 model, drive=PrescribedRate("A", RATE), duration=0.3, method=GeneralisedAlpha(step=1e-4),
@@ -235,6 +236,17 @@ class TestStatics:
         # The thread carries the table: the guide is without load along itself.
         np.testing.assert_allclose(found.preload["G"].force[0], 0.0, atol=1e-9 * weight)
 
+    @pytest.mark.parametrize("flanks", [{}, {"one_sided": True}], ids=["both", "one_sided"])
+    def test_a_cam_at_rest(self, flanks):
+        """The follower's spring and the mesh in series, and the moment that holds the cam by virtual work."""
+        stiffness, angles = 2e6, np.linspace(0.0, 2.0 * np.pi, 9)
+        turn = kinetostatic_turn(discretise(cam(stiffness=stiffness, **flanks)), None, angles)
+        assert (np.asarray(turn.status) == 0).all()
+        lift, slope = 0.5 * LIFT * (1.0 - np.cos(angles)), 0.5 * LIFT * np.sin(angles)
+        force = (SPRING * lift + PRELOAD) / (1.0 + SPRING / stiffness)
+        np.testing.assert_allclose(turn.couplings["lift"][:, 1], force, rtol=1e-8)
+        np.testing.assert_allclose(turn.holding, force * slope, rtol=0, atol=1e-6 * np.abs(force * slope).max())
+
     def test_willis(self):
         """A planetary train with a ring that stands: sun and planet are hung on the carrier."""
         sun, planet, ring = 20, 16, 52
@@ -269,3 +281,77 @@ class TestStatics:
         wave = np.sin(2.0 * angle + 0.4)
         np.testing.assert_allclose(found.values, -0.51 * (angle + 2e-3) + 3e-3 * wave, rtol=1e-10)
         np.testing.assert_allclose(found.forward, [angle + 2e-3, -0.51, wave], rtol=1e-9)
+
+
+class TestLoop:
+    """A geared five-bar: two cranks whose mesh takes the freedom that the loop leaves."""
+
+    CRANK, ROD, APART, TURN = 0.05, 0.2, 0.15, 0.8
+
+    def five_bar(self, rfes=None, **mesh):
+        """Cranks turn with equal angles from those at the start, 0 and `TURN`; rods meet in C, above."""
+        links = [link("one", self.CRANK), link("left", self.ROD, rfes), link("right", self.ROD, rfes)]
+        links.append(link("two", self.CRANK))
+        angles, (one, two) = self.angles(0.0, self.TURN), (0.0, self.TURN)
+        joints = [
+            Joint("A", "base", "one", angle=one),
+            Joint("B", "one", "left", position=(self.CRANK, 0.0, 0.0), angle=angles[0] - one),
+            Joint("E", "base", "two", position=(self.APART, 0.0, 0.0), angle=two),
+            Joint("D", "two", "right", position=(self.CRANK, 0.0, 0.0), angle=angles[1] - two),
+            Joint("C", "left", "right", position=(self.ROD, 0.0, 0.0), child_position=(self.ROD, 0.0, 0.0), cut=True),
+        ]
+        mesh = Coupling("mesh", ("A", "E"), **({"ratio": 1.0, "stiffness": 1e6} | mesh))
+        rigid = {} if rfes else {"redundant_reactions": "minimum_norm"}
+        return Mechanism(links, joints, driven_joint="A", forces=[mesh], **rigid)
+
+    def angles(self, one, two):
+        """Angles of both rods about y, from those of the cranks, where the rods' circles meet above."""
+        cranks = (0.0, one), (self.APART, two)
+        pins = [np.array([x, 0.0]) + self.CRANK * np.array([np.cos(q), -np.sin(q)]) for x, q in cranks]
+        middle, half = 0.5 * (pins[0] + pins[1]), 0.5 * (pins[1] - pins[0])
+        across = np.array([-half[1], half[0]]) / np.linalg.norm(half)
+        meeting = middle + across * np.sqrt(self.ROD**2 - half @ half)
+        return [np.arctan2(-(meeting - pin)[1], (meeting - pin)[0]) for pin in pins]
+
+    @pytest.mark.parametrize("method", [RungeKutta4(step=2e-5), GeneralisedAlpha(step=5e-4)], ids=["rk4", "implicit"])
+    def test_positions_and_balances(self, method):
+        mechanism = self.five_bar(stiffness=3e4, damping=1.0)
+        run = simulate(
+            Simulation(
+                discretise(mechanism), drive=PrescribedRate("A", 5.0, 0.05),
+                duration=0.1, method=method, save_every=0.01,
+            )
+        )  # fmt: skip
+        assert int(run.status) == 0
+        one = np.asarray(run.motion.angles["A"])
+        assert one[-1] > 0.3
+        two = self.TURN + one
+        np.testing.assert_allclose(run.motion.angles["E"], two, rtol=0, atol=5e-6)
+        rods = np.array([self.angles(a, b) for a, b in zip(one, two, strict=True)])
+        np.testing.assert_allclose(one + run.motion.angles["B"], rods[:, 0], rtol=0, atol=1e-5)
+        assert np.abs(np.asarray(run.couplings["mesh"].loads)).max() > 0.05
+        assert float(run.checks.energy_balance_error) < 1e-2
+        assert float(run.checks.momentum_balance_error) < 1e-5
+
+    def test_flexible_rods_at_rest(self):
+        """The mesh carries what the weight asks for: the virtual work of a small turn of both cranks."""
+        model = discretise(self.five_bar(rfes=3))
+        found = assemble(model, assembly_errors(model))
+        assert int(found.status) == 0
+        joints = dict(zip(model.topology.joints, found.state.position.joints))
+        deflection = float(joints["E"]) - self.TURN
+        # Of rigid links: energies at angles of the second crank, the first one held.
+        step = 1e-5
+
+        def energy(two):
+            weights = {}
+            rods = self.angles(0.0, two)
+            mass = 7850.0 * 1e-4 * 9.81
+            pin = -self.CRANK * np.sin(two)
+            weights["two"] = mass * self.CRANK * 0.5 * pin
+            weights["left"] = mass * self.ROD * 0.5 * -self.ROD * np.sin(rods[0])
+            weights["right"] = mass * self.ROD * (pin - 0.5 * self.ROD * np.sin(rods[1]))
+            return sum(weights.values())
+
+        moment = (energy(self.TURN + step) - energy(self.TURN - step)) / (2.0 * step)
+        np.testing.assert_allclose(-1e6 * deflection, moment, rtol=2e-3)

@@ -38,7 +38,8 @@ Refusal = Callable[[Any], str | None]
 
 @dataclass(frozen=True)
 class MetricKind:
-    """An entry of the catalogue, with the arguments of `register_metric`; `of` is "run", "joint", "link" or "point";
+    """An entry of the catalogue, with the arguments of `register_metric`; `of` is "run", "joint", "link", "point" or
+    "coupling";
     `refusal`: of a `JointSubject`, `LinkSubject` or `MetricSubjects` why it has no such metric and what to do, None if
     it has; `equation`: its number in the theory; `instant`: whether a metric of a point is of one instant, which its
     owner may name."""
@@ -77,8 +78,16 @@ class MetricKind:
 JOINT_METRICS: dict[str, MetricKind] = {}
 LINK_METRICS: dict[str, MetricKind] = {}
 POINT_METRICS: dict[str, MetricKind] = {}
+COUPLING_METRICS: dict[str, MetricKind] = {}
 RUN_METRICS: dict[str, MetricKind] = {}
-CATALOGUES = {"joint": JOINT_METRICS, "link": LINK_METRICS, "point": POINT_METRICS, "run": RUN_METRICS}
+CATALOGUES = {
+    "joint": JOINT_METRICS,
+    "link": LINK_METRICS,
+    "point": POINT_METRICS,
+    "run": RUN_METRICS,
+    "coupling": COUPLING_METRICS,
+}
+OWNED = JOINT_METRICS, LINK_METRICS, POINT_METRICS, COUPLING_METRICS
 
 
 def register_metric(
@@ -177,7 +186,7 @@ def kind_and_owner(name: str) -> tuple[MetricKind | None, str]:
     owner, _, kind = name.rpartition(".")
     if not owner:
         return RUN_METRICS.get(name), ""
-    return JOINT_METRICS.get(kind) or LINK_METRICS.get(kind) or POINT_METRICS.get(kind), owner
+    return next((known[kind] for known in OWNED if kind in known), None), owner
 
 
 def only_at_start(names: Iterable[str]) -> bool:
@@ -213,8 +222,8 @@ def kinked(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def known_names(owner: str) -> list[str]:
-    """Names of all metrics, those of joints, links and points with an owner as "A" or "*"."""
-    return [f"{owner}.{kind}" for kind in (*JOINT_METRICS, *LINK_METRICS, *POINT_METRICS)] + list(RUN_METRICS)
+    """Names of all metrics, those of joints, links, points and couplings with an owner as "A" or "*"."""
+    return [f"{owner}.{kind}" for known in OWNED for kind in known] + list(RUN_METRICS)
 
 
 def suggested_metric(name: str, owner: str) -> str:

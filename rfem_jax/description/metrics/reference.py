@@ -10,13 +10,14 @@ from rfem_jax.description.basics.joint_kinds import DEFAULT, KINDS
 from rfem_jax.description.mechanism.bearings import CAPACITIES
 from rfem_jax.description.metrics.catalogue import CATALOGUES, MetricKind
 from rfem_jax.description.metrics.design_metrics import STRESS_POWER as STRESS_POWER  # registers the metrics of designs
-from rfem_jax.description.metrics.subjects import JointSubject, LinkSubject, MetricSubjects, refusal_of
+from rfem_jax.description.metrics.subjects import CouplingSubject, JointSubject, LinkSubject, MetricSubjects, refusal_of
 
 CALLED = {
     "joint": 'of a joint, "JOINT.NAME", of all that have it "*.NAME"',
     "link": 'of a link, "LINK.NAME", of a point of it "LINK@0.5.NAME", of all links "*.NAME"',
     "point": 'of the path of a point, "POINT.NAME", at an instant "POINT@0.3s.NAME", "POINT@90deg.NAME" of the drive',
     "run": 'of the whole run, "NAME"',
+    "coupling": 'of a coupling, "COUPLING.NAME", of all that have it "*.NAME"',
 }
 
 
@@ -56,8 +57,13 @@ def metric_tables() -> list[MetricTable]:
 
 
 def _row(kind: MetricKind) -> MetricRow:
-    meaning = kind.description or kind.labelled({"joint": "the joint", "link": "the link", "point": "the point"})
+    the = {of: f"the {of}" for of in CATALOGUES if of != "run"}
+    meaning = kind.description or kind.labelled(the)
     return MetricRow(kind.name, kind.unit, meaning, needs_of(kind), kind.equation)
+
+
+def _of_rotation_refused(kind: MetricKind) -> bool:
+    return refusal_of(kind, CouplingSubject(turns=True)) is not None
 
 
 def needs_of(kind: MetricKind) -> str:
@@ -67,6 +73,8 @@ def needs_of(kind: MetricKind) -> str:
         return "only where the section's edge is known" if refusal_of(kind, LinkSubject(edge=False)) else ""
     if kind.of == "point":
         return ""
+    if kind.of == "coupling":
+        return f"only where its second coordinate is a {'translation' if _of_rotation_refused(kind) else 'rotation'}"
     if kind.of == "run":
         lacking = {word: MetricSubjects({"A": joint}, {}) for word, joint in _without(_joint(DEFAULT)).items()}
         needs = [word for word, one in lacking.items() if refusal_of(kind, one)]

@@ -1,4 +1,4 @@
-"""What metrics can be of: joints, links, points, bearings and drives of a mechanism, described or as a model.
+"""What metrics can be of: joints, links, points, couplings, bearings, drives of a mechanism, described or as a model.
 
 Place in the pipeline: metric_catalogue -> **metric_subjects** -> tasks (of a `Mechanism`), tolerancing (of a `Model`).
 """
@@ -36,12 +36,19 @@ class PointSubject(NamedTuple):
     driven: bool
 
 
+class CouplingSubject(NamedTuple):
+    """A coupling: whether its second coordinate is a rotation."""
+
+    turns: bool
+
+
 class MetricSubjects(NamedTuple):
-    """All joints, links and points by their names."""
+    """All joints, links, points and couplings by their names."""
 
     joints: dict[str, JointSubject]
     links: dict[str, LinkSubject]
     points: dict[str, PointSubject] = {}  # noqa: RUF012  # never changed
+    couplings: dict[str, CouplingSubject] = {}  # noqa: RUF012  # never changed
 
     @property
     def friction(self) -> bool:
@@ -52,6 +59,9 @@ class MetricSubjects(NamedTuple):
     def driven(self) -> bool:
         """Whether any joint is driven."""
         return any(joint.driven for joint in self.joints.values())
+
+
+Subject = JointSubject | LinkSubject | PointSubject | CouplingSubject | MetricSubjects
 
 
 def subjects_of(mechanism: Mechanism) -> MetricSubjects:
@@ -72,7 +82,8 @@ def subjects_of(mechanism: Mechanism) -> MetricSubjects:
         one.name: LinkSubject(one.section is not None and bool(one.section.edge_stresses())) for one in mechanism.links
     }
     points = {one.name: PointSubject(bool(driven)) for one in mechanism.points}
-    return MetricSubjects(joints, links, points)
+    couplings = {one.name: CouplingSubject(one.turns[1]) for one in mechanism.couplings}
+    return MetricSubjects(joints, links, points, couplings)
 
 
 def divided(owner: str) -> tuple[str, float]:
@@ -111,7 +122,8 @@ def require_metric(name: str, subjects: MetricSubjects, whole: str, of: str = ""
                 f"Argument `metrics`{of} must fit the {whole}, but `{name}` does not: {refusal}; leave it out."
             )
         return (name,)
-    known: Mapping[str, Any] = {"joint": subjects.joints, "link": subjects.links, "point": subjects.points}[kind.of]
+    by_kind = {"joint": subjects.joints, "link": subjects.links, "point": subjects.points}
+    known: Mapping[str, Any] = (by_kind | {"coupling": subjects.couplings})[kind.of]
     wanted, _, _ = owner.partition("@")
     if kind.of == "link":
         divided(owner)
@@ -130,6 +142,11 @@ def require_metric(name: str, subjects: MetricSubjects, whole: str, of: str = ""
             f"Argument `metrics`{of} must fit the {whole}, but `{name}` is of a point and it has none; add a table "
             "[[mechanism.points]] with `name`, `link` and `position`, or `Point` objects."
         )
+    if kind.of == "coupling" and not known:
+        raise InputError(
+            f"Argument `metrics`{of} must fit the {whole}, but `{name}` is of a coupling and it has none; add a table "
+            "[[mechanism.couplings]], or `Coupling` objects among its `forces`."
+        )
     if wanted not in (*known, "*"):
         raise InputError(
             f"Argument `metrics`{of} must be of {kind.of}s of the {whole}, but it has no {kind.of} `{owner}` for "
@@ -143,8 +160,8 @@ def require_metric(name: str, subjects: MetricSubjects, whole: str, of: str = ""
     return (name,)
 
 
-def refusal_of(kind: MetricKind, subject: JointSubject | LinkSubject | PointSubject | MetricSubjects) -> str | None:
-    """Why a joint, a link or a mechanism has no such metric, None if it has."""
+def refusal_of(kind: MetricKind, subject: Subject) -> str | None:
+    """Why a joint, a link, a coupling or a mechanism has no such metric, None if it has."""
     if isinstance(subject, JointSubject) and kind.had_by is not None and not kind.had_by(subject.kind, subject.cut):
         return "a cut joint has no coordinate, and a joint of another kind has other coordinates"
     return kind.refusal and kind.refusal(subject)
@@ -153,7 +170,7 @@ def refusal_of(kind: MetricKind, subject: JointSubject | LinkSubject | PointSubj
 def _not_had(
     name: str,
     kind: MetricKind,
-    subject: JointSubject | LinkSubject | PointSubject | None,
+    subject: Subject | None,
     having: Iterable[str],
     of: str,
 ) -> str:

@@ -20,7 +20,7 @@ from rfem_jax.mechanics.model.planar_loops import model_reactions_text
 from rfem_jax.mechanics.model.status import STATUS
 from rfem_jax.report.analyses.analysis import errors_of_cases, write_analysis
 from rfem_jax.report.annotations import Figure
-from rfem_jax.report.files import axes_columns, contact_columns
+from rfem_jax.report.files import axes_columns, contact_columns, coupling_load_columns
 from rfem_jax.report.output import write_csv
 from rfem_jax.report.pictures import drawn, write_pictures
 from rfem_jax.report.style import add_titles, line_style, new_figure
@@ -183,7 +183,7 @@ def _linear_error(turn: Turn, case: int) -> float:
 
 def write_turn(folder: Path, study: Study, model: Model, turn: Turn, axes: str = "joint") -> list[Path]:
     """Write turn.json (largest loads, and resultants over the positions) and turn.csv (all positions), both with the
-    contacts of joints with clearance."""
+    contacts of joints with clearance; in turn.csv loads of couplings, too."""
     unit, force = ("m", "N") if _slides(model) else ("rad", "Nm")
     rows, cases = [], {}
     for c, case in enumerate(study.cases):
@@ -195,6 +195,8 @@ def write_turn(folder: Path, study: Study, model: Model, turn: Turn, axes: str =
         contacts = contact_columns(states)
         loads = jax.tree.map(lambda values, c=c: values[c], turn.in_axes)
         turned = axes_columns(study, loads, axes) if loads else {}
+        for coupling in study.mechanism.couplings:
+            contacts |= coupling_load_columns(coupling, np.asarray(turn.couplings[coupling.name][c]))
         for i, position in enumerate(turn.position[c]):
             row: dict[str, Any] = {"case": case.name, f"position_{unit}": float(position)}
             row |= {"status": STATUS[int(turn.status[c, i])].name, f"holding_{force}": float(turn.holding[c, i])}

@@ -24,6 +24,7 @@ from rfem_jax.description.drives.numbers_by_name import drive_number_unit
 from rfem_jax.description.methods import GeneralisedAlpha, Method
 from rfem_jax.description.metrics.catalogue import kind_and_owner, only_at_start
 from rfem_jax.description.metrics.subjects import (
+    CouplingSubject,
     JointSubject,
     LinkSubject,
     MetricSubjects,
@@ -393,7 +394,9 @@ def _subjects_of(model: Model) -> MetricSubjects:
     }
     links = {name: LinkSubject(bool(edges) and edges[l] is not None) for l, name in enumerate(topology.links)}
     points = {name: PointSubject(bool(driven)) for name in model.points or {}}
-    return MetricSubjects(joints, links, points)
+    turns = {name: not topology.slides[one.coordinates[1]] for name, one in (model.couplings or {}).items()}
+    couplings = {name: CouplingSubject(turn) for name, turn in turns.items()}
+    return MetricSubjects(joints, links, points, couplings)
 
 
 def finer_method(method: Method, contacts: bool = True) -> Method:
