@@ -92,19 +92,25 @@ class LabelledResult(abc.ABC):
     def parts(self) -> Parts:
         """The result in words: first what it is, then sentences and tables."""
 
+    def notes(self) -> Sequence[str]:
+        """What a reader of its numbers must know besides, as that a metric is a bound of what it is named after."""
+        return ()
+
     def to_xarray(self) -> Dataset:
         """An `xarray.Dataset` of `arrays`."""
-        return dataset(*self.arrays())
+        variables, coordinates, attributes = self.arrays()
+        notes = self.notes()
+        return dataset(variables, coordinates, {**attributes, "notes": " ".join(notes)} if notes else attributes)
 
     def to_pandas(self) -> DataFrame:
         """A `pandas.DataFrame` of `rows`."""
         return frame(self.rows(), self.index)
 
     def __str__(self) -> str:
-        return text_of(self.parts())
+        return text_of([*self.parts(), *self.notes()])
 
     def _repr_html_(self) -> str:
-        title, *parts = self.parts()
+        title, *parts = (*self.parts(), *self.notes())
         shown = (one.html() if isinstance(one, Table) else paragraph(one) for one in parts if one)
         return document(str(title), *shown)
 

@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterable, Sequence
 from functools import reduce
 from operator import getitem
 
-from rfem_jax.description.metrics.catalogue import notes_on, unit_of
+from rfem_jax.description.metrics.catalogue import note_sentences, unit_of
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tolerances.error_catalogue import as_specified
 from rfem_jax.report.annotations import Summaries
@@ -117,12 +117,7 @@ def _metrics_table(study: Study, summaries: Summaries) -> str:
         values = [one["metrics"][name] for one in summaries.values()]
         rows.append([name, unit_of(name) or "1", *(f"{x:.5g}" if math.isfinite(x) else "-" for x in values)])
     table = format_table(["metric", "unit", *marked_cases(summaries).values()], rows, (0, 1))
-    return "\n".join(["Metrics", table, *notes_text(study.metrics)])
-
-
-def notes_text(metrics: Sequence[str]) -> list[str]:
-    """What a reader of the values of metrics must know, a line for each kind of metrics."""
-    return [f"{kind}: {note}." for kind, note in notes_on(metrics).items()]
+    return "\n".join(["Metrics", table, *note_sentences(study.metrics)])
 
 
 def _contacts_table(summaries: Summaries) -> str:

@@ -100,9 +100,16 @@ def compare_tasks(first: Path, second: Path) -> TaskComparison:
             differences[task] = tuple(rows)
         if not all(row.complete for row in rows):
             remarks.append(f"* Results of {task}: the status of one of both says that it is not complete.")
+        remarks += _notes(one, other) if rows else []
         if one.get("title") != other.get("title"):
             remarks.append(f"Results of {task} are of two studies: {one.get('title')}; {other.get('title')}.")
-    return TaskComparison(differences, tuple(remarks))
+    return TaskComparison(differences, tuple(dict.fromkeys(remarks)))
+
+
+def _notes(*contents: Mapping[str, Any]) -> list[str]:
+    """What the files say that a reader of their metrics must know."""
+    notes = [one.get("metric_notes") for one in contents]
+    return [f"{kind}: {note}." for one in notes if isinstance(one, dict) for kind, note in one.items()]
 
 
 def _rows(task: str, place: Place, quantity: str, unit: str, one: Any, other: Any) -> list[Difference]:

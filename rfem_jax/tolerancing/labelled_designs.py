@@ -4,6 +4,7 @@ Place in the pipeline: beside labelled_results, with its dimensions; `Allocation
 """
 
 import abc
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,16 +13,20 @@ from rfem_jax.labelled_data import (
     Arrays,
     DataFrame,
     Labelled,
-    LabelledResult,
     frame,
     limit_coordinates,
     named_dimension,
     text_array,
 )
+from rfem_jax.tolerancing.labelled_results import MetricResult
 
 
-class LabelledSolution(LabelledResult):
+class LabelledSolution(MetricResult):
     """Of `Solution`."""
+
+    @property
+    def metric_names(self: Any) -> Sequence[str]:
+        return (*(one.metric for one in self.limits), *getattr(self, "terms", ()))
 
     @abc.abstractmethod
     def own_arrays(self: Any) -> Arrays:

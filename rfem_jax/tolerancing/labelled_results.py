@@ -4,12 +4,13 @@ Place in the pipeline: the results inherit these. Units that change along a dime
 along `metric`, `error_unit` along `error`); an estimate has the dimension `estimate`: value, low, high.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import astuple
 from typing import Any
 
 import numpy as np
 
+from rfem_jax.description.metrics.catalogue import note_sentences
 from rfem_jax.labelled_data import (
     ESTIMATE,
     Arrays,
@@ -21,7 +22,19 @@ from rfem_jax.labelled_data import (
 )
 
 
-class LabelledSensitivities(LabelledResult):
+class MetricResult(LabelledResult):
+    """A result of metrics, with notes on those whose names alone would mislead."""
+
+    @property
+    def metric_names(self: Any) -> Sequence[str]:
+        """The metrics that it tells of."""
+        return self.metrics
+
+    def notes(self) -> Sequence[str]:
+        return note_sentences(self.metric_names)
+
+
+class LabelledSensitivities(MetricResult):
     """Of `Sensitivities`."""
 
     index = ("metric", "error")
@@ -58,7 +71,7 @@ class LabelledSensitivities(LabelledResult):
         return variables, coordinates, attributes | {"derivative_residual": self.derivative_residual}
 
 
-class LabelledMonteCarlo(LabelledResult):
+class LabelledMonteCarlo(MetricResult):
     """Of `MonteCarloResult`."""
 
     index = ("sample",)
@@ -132,10 +145,14 @@ class LabelledMonteCarlo(LabelledResult):
         return rows
 
 
-class LabelledWorstCase(LabelledResult):
+class LabelledWorstCase(MetricResult):
     """Of `WorstCase`."""
 
     index = ("metric", "kind")
+
+    @property
+    def metric_names(self: Any) -> Sequence[str]:
+        return (self.metric,)
 
     def arrays(self: Any) -> Arrays:
         """The worst errors over `error`, searches over `search`, corners over `corner`."""

@@ -214,6 +214,11 @@ def notes_on(names: Iterable[str]) -> dict[str, str]:
     return {kind.name: kind.note for kind in kinds if kind is not None and kind.note}
 
 
+def note_sentences(names: Iterable[str]) -> list[str]:
+    """`notes_on` in sentences."""
+    return [f"{kind}: {note}." for kind, note in notes_on(names).items()]
+
+
 def kinked(names: Iterable[str]) -> tuple[str, ...]:
     """Of metrics by their names those whose derivatives jump where another instant, or place, is that of the
     maximum."""

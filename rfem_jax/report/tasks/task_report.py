@@ -16,6 +16,7 @@ from jax.typing import ArrayLike
 
 from rfem_jax.compilation.stages import on_stage
 from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.metrics.catalogue import note_sentences
 from rfem_jax.description.parameters.deviations import deviation_unit
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.task import Task
@@ -27,7 +28,7 @@ from rfem_jax.report.overview import format_error
 from rfem_jax.report.pictures import drawn, write_pictures
 from rfem_jax.report.progress_line import show
 from rfem_jax.report.style import SETTINGS
-from rfem_jax.report.tables import notes_text, title_text
+from rfem_jax.report.tables import title_text
 from rfem_jax.report.tasks.task_files import write_task_json
 from rfem_jax.tolerancing.problems.kept_evaluations import kept_in
 from rfem_jax.tolerancing.problems.results_store import count_chunks
@@ -159,8 +160,9 @@ class TaskReport(abc.ABC, Generic[Asked, Result]):
         if process_index() != 0:
             show(self.text_of_helper(result))
             return good, []
-        notes = notes_text(getattr(self.task, "metrics", ()))
-        show("\n\n".join([title_text(self.study), self.text(result), *notes]), end="\n\n")
+        said = self.text(result)  # results of this package have the notes on their own metrics
+        notes = [one for one in note_sentences(getattr(self.task, "metrics", ())) if one.split()[0] not in said]
+        show("\n\n".join([title_text(self.study), said, *notes]), end="\n\n")
         return good, self.write(folder, result) + drawn(lambda: write_pictures(folder, self.pictures(result)))
 
 

@@ -18,9 +18,10 @@ from jaxtyping import Float, Int
 from rfem_jax.description.basics.errors import InputError, require_choice
 from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.description.tasks.settings import MOST_SAMPLES, whole_number
-from rfem_jax.labelled_data import Arrays, Labelled, LabelledResult, Parts, Table, column_name, named_dimension
+from rfem_jax.labelled_data import Arrays, Labelled, Parts, Table, column_name, named_dimension
 from rfem_jax.tolerancing.checks import ErrorValue, ErrorValues, check_variables, error_value
 from rfem_jax.tolerancing.designs.response_surface import ResponseSurface, fit_response_surface
+from rfem_jax.tolerancing.labelled_results import MetricResult
 from rfem_jax.tolerancing.layout import show_error, show_number
 from rfem_jax.tolerancing.problems.distributions import DISTRIBUTIONS
 from rfem_jax.tolerancing.problems.evaluation import read_point
@@ -35,7 +36,7 @@ Bounds = Mapping[str, tuple[ErrorValue, ErrorValue]]
 
 
 @dataclass(frozen=True, eq=False)
-class SweepResult(LabelledResult):
+class SweepResult(MetricResult):
     """Metrics over ranges of errors.
 
     names, error_units, bounds (k): of the errors that vary, "rad" or "m", (low, high); metrics, metric_units, labels

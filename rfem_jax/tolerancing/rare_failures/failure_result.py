@@ -13,7 +13,6 @@ from rfem_jax.labelled_data import (
     ESTIMATE,
     Arrays,
     Labelled,
-    LabelledResult,
     Parts,
     Table,
     column_name,
@@ -21,6 +20,7 @@ from rfem_jax.labelled_data import (
     named_dimension,
     text_array,
 )
+from rfem_jax.tolerancing.labelled_results import MetricResult
 from rfem_jax.tolerancing.layout import show_error, show_number
 from rfem_jax.tolerancing.sampling.statistics import Estimate
 
@@ -80,7 +80,7 @@ class LimitFailure:
 
 
 @dataclass(frozen=True, eq=False)
-class ReliabilityResult(LabelledResult):
+class ReliabilityResult(MetricResult):
     """Result of a reliability study.
 
     names, error_units (k) of the errors; limits, one `LimitFailure` for every finite end; any_limit: probability that
@@ -106,6 +106,10 @@ class ReliabilityResult(LabelledResult):
         return "uncertain" if any(one.status == "uncertain" for one in self.limits) else "ok"
 
     index = ("metric", "side")
+
+    @property
+    def metric_names(self) -> tuple[str, ...]:
+        return tuple(one.metric for one in self.limits)
 
     def rows(self) -> list[dict[str, Any]]:
         """A row per limit; `unit` is that of `limit` and `nominal`."""
