@@ -257,13 +257,14 @@ def study_text(study: Study, description: Structure) -> str:
     joint_header = ["joint", "kind", "parent", "child", "start", "remarks"]
     cases = [[case.name, _errors_text(mechanism, case)] for case in study.cases]
     gravity = ", ".join(f"{value:g}" for value in mechanism.gravity)
+    plane = ["Plane: x and y, hinges turn about z."] if mechanism.plane == "xy" else []
     save = "by default" if study.save_every is None else f"every {study.save_every:g} s"
     return "\n\n".join(
         [
             title_text(study),
             format_table(link_header, link_rows(mechanism), words=(0, 5)),
             format_table(joint_header, joint_rows(study), words=(0, 1, 2, 3, 5)),
-            "\n".join([*count_lines(mechanism, description), f"Gravity: {gravity} m/s^2."]),
+            "\n".join([*count_lines(mechanism, description), f"Gravity: {gravity} m/s^2.", *plane]),
             f"{_compliance_text(mechanism)}{_clearance_text(mechanism)}{_forces_text(mechanism)}{_drives_text(study)}"
             f"{wrap_lines(start_text(description.start))}\n"
             f"Simulation: {study.duration:g} s with {_method_text(study)}; saved {save}.",

@@ -30,6 +30,7 @@ from rfem_jax.report.joint_symbols import (
 from rfem_jax.report.style import CASE_COLOURS, LINE_STYLES, add_titles, new_figure
 from rfem_jax.report.summary import in_legend, status_of
 
+_VIEWS = {"xz": (22.0, -48.0), "xy": (60.0, -80.0)}  # elevation and azimuth [deg], by the plane of the mechanism
 _MOST_PANELS = 6
 _LEGEND_ROW, _LEGEND_FOOT = 0.1875, 0.45  # inches
 SAME_PLACE = 0.02  # of the longest line
@@ -201,7 +202,7 @@ def labelled_points(points: Mapping[str, Point], lines: Mapping[str, Line]) -> l
     return found
 
 
-def _format_axes(axes: Axes3D, low: Point, high: Point) -> None:
+def _format_axes(axes: Axes3D, low: Point, high: Point, plane: str) -> None:
     from matplotlib.ticker import MaxNLocator
 
     for axis, letter, lower, upper in zip("xyz", "XYZ", low, high, strict=True):
@@ -209,7 +210,8 @@ def _format_axes(axes: Axes3D, low: Point, high: Point) -> None:
         getattr(axes, f"{axis}axis").set_major_locator(MaxNLocator(3))
     axes.xaxis.labelpad = 7.0  # clear of its numbers where the mechanism is long and thin
     axes.set_box_aspect(high - low, zoom=0.85)  # pyright: ignore[reportArgumentType]  # a float, says its documentation
-    axes.view_init(elev=22.0, azim=-48.0)
+    elevation, azimuth = _VIEWS[plane]
+    axes.view_init(elev=elevation, azim=azimuth)
     axes.tick_params(labelsize=7, pad=0)
 
 
@@ -246,7 +248,7 @@ def assembly_figure(study: Study, runs: Mapping[str, Run], places: Mapping[str, 
     for index, (case, run) in enumerate(shown.items()):
         axes = figure.add_subplot(rows, columns, index + 1, projection="3d", facecolor="none")
         _draw_mechanism(axes, study.mechanism, run, factor, places, guides)
-        _format_axes(axes, low, high)
+        _format_axes(axes, low, high, study.mechanism.plane)
         axes.set_title(f"{in_legend(case, status_of(run))}: {_deflection_text(run)}", y=1.0)
     # Layout by hand: the automatic one knows neither labels nor legends of 3D axes.
     below = 0.75 + _LEGEND_ROW * max(_add_legend(figure, study.mechanism), 4)

@@ -25,7 +25,7 @@ Path = tuple[str | int, ...]
 @dataclass(frozen=True)
 class Parts(NumberTree):
     """Links, joints, springs of each joint, forces, gravity [m/s^2] and points, in the order of the mechanism;
-    reaction_length [m]: as of the mechanism.
+    reaction_length [m] and plane: as of the mechanism.
 
     Numbers may be traced: nothing here is checked, unlike in what a user makes.
     """
@@ -37,6 +37,7 @@ class Parts(NumberTree):
     gravity: tuple[Number, Number, Number]
     reaction_length: float | None = None
     points: tuple[Point, ...] = ()
+    plane: str = "xz"
 
     def link(self, name: str) -> Link:
         """The link of a name."""
@@ -61,6 +62,7 @@ def parts_of(mechanism: Mechanism) -> Parts:
         gravity=mechanism.gravity,
         reaction_length=mechanism.reaction_length,
         points=tuple(mechanism.points),
+        plane=mechanism.plane,
     )
 
 

@@ -58,7 +58,7 @@ DRIVES = {
     "prescribed_run_up": PrescribedRunUp,
     "prescribed_displacements": PrescribedDisplacements,
 }
-_MECHANISM_OPTIONS = ("gravity", "redundant_reactions", "reaction_length", "elements")
+_MECHANISM_OPTIONS = ("gravity", "redundant_reactions", "reaction_length", "elements", "plane")
 MECHANISM_KEYS = (("links", "joints"), ("materials", "sections", "springs", "forces", "points", *_MECHANISM_OPTIONS))
 SIMULATION_KEYS = (("duration",), ("method", "save_every", "start"))  # and the settings of the method
 
