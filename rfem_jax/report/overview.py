@@ -9,6 +9,8 @@ import re
 from dataclasses import fields
 from typing import Any
 
+import numpy as np
+
 from rfem_jax.description.basics.joint_kinds import KINDS
 from rfem_jax.description.drives.driven_motions import AnyDrive
 from rfem_jax.description.drives.numbers_by_name import drive_number_names, drive_number_unit, drive_number_value
@@ -22,7 +24,8 @@ from rfem_jax.description.parameters.parameters import parameters_of
 from rfem_jax.description.parameters.parts import parts_of
 from rfem_jax.description.study_file.study import Case, Study
 from rfem_jax.description.tolerances.error_catalogue import as_specified
-from rfem_jax.report.annotations import StartHeld, Structure
+from rfem_jax.mechanics.model.assembly_modes import loop_modes, start_values_text
+from rfem_jax.report.annotations import Model, StartHeld, Structure
 from rfem_jax.report.tables import format_table, title_text
 from rfem_jax.text_layout import wrap_lines
 
@@ -245,6 +248,16 @@ def start_text(start: StartHeld) -> str:
         f"Start: as given{held}; {undriven} {'are' if len(start.undriven) > 1 else 'is'} held at the start value "
         f"while flexible links settle, then released {rate}."
     )
+
+
+def closed_text(model: Model) -> str:
+    """How the loops are closed at the start: start values of all joints, and modes of loops of four joints."""
+    topology = getattr(model, "topology", None)
+    if topology is None or topology.n_cuts == 0:
+        return ""
+    values = start_values_text(topology, np.asarray(model.start_joints))
+    modes = [f"{name} {mode}" for name, mode in loop_modes(model).items()]
+    return wrap_lines(f"Loops are closed with {values}" + (f" ({', '.join(modes)})." if modes else "."))
 
 
 def study_text(study: Study, description: Structure) -> str:

@@ -47,7 +47,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     study = read_study(arguments.study)
 
     from rfem_jax.mechanics import describe
-    from rfem_jax.report.overview import design_text, study_text
+    from rfem_jax.report.overview import closed_text, design_text, study_text
     from rfem_jax.report.study_cost import cost_text, times_text
     from rfem_jax.report.tasks.task_overview import tasks_text
     from rfem_jax.simulation import check_step, drive_limit
@@ -55,6 +55,8 @@ def act(arguments: argparse.Namespace) -> Answer:
     model = discretise_study(study)
     structure = describe(model)
     show(study_text(study, structure), end="\n\n")
+    if text := closed_text(model):
+        show(text, end="\n\n")
     if text := design_text(study):
         show(text, end="\n\n")
     if text := tasks_text(study):
