@@ -3,7 +3,8 @@
 Place in the pipeline: called by `shapes`; `run.forces` has forces, moments and points at the start of the run.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -11,7 +12,7 @@ from jaxtyping import Float
 from rfem_jax.description.mechanism.distributed_forces import DistributedForce
 from rfem_jax.description.mechanism.mechanism import Mechanism
 from rfem_jax.description.mechanism.point_forces import LoadOnLink
-from rfem_jax.report.annotations import Axes3D, Run
+from rfem_jax.report.annotations import Axes3D, Model
 
 ARROW = 0.15  # of the size of the mechanism
 COIL = 0.015  # half the width of a zigzag, likewise
@@ -22,10 +23,39 @@ Point = Float[np.ndarray, " 3"]
 Drawn = Callable[[str, float, Point], Point]  # link, x of a point on it [m], where it is -> where it is drawn
 
 
-def draw_forces(axes: Axes3D, mechanism: Mechanism, run: Run, size: float, drawn: Drawn) -> None:
-    """Draw the forces at points of a mechanism of a size [m] at the start of a run."""
+class ForceAtStart(NamedTuple):
+    """Force [N] and moment [N m] of a force at points, and its places [m], at the start, as of `PointHistory`."""
+
+    force: Float[np.ndarray, "1 3"]
+    moment: Float[np.ndarray, "1 3"]
+    place: Float[np.ndarray, "1 3"]
+    first_place: Float[np.ndarray, "1 3"]
+
+
+def forces_at_start(model: Model) -> dict[str, ForceAtStart]:
+    """The given forces and moments at points of the perfect mechanism at its start, and the places of springs, whose
+    forces are not drawn."""
+    from rfem_jax.mechanics.laws.frame_forces import START
+    from rfem_jax.mechanics.laws.point_laws import GivenLoad
+    from rfem_jax.mechanics.model.nominal_geometry import geometry_of, node_place, place
+
+    geometry, found = geometry_of(model), {}
+    placed = place(geometry, np.asarray(model.start_joints))
+    for name, law in (model.frame_forces or {}).items():
+        ends = [(node_place(geometry, placed, end.node), end) for end in (law.parent, law.child)]
+        first, second = ((point + rotation @ np.asarray(end.position))[None] for (rotation, point), end in ends)
+        value = np.zeros(3)
+        if isinstance(law, GivenLoad):
+            value = np.asarray(law.value.at(START))
+            value = ends[1][0][0] @ np.asarray(law.child.rotation) @ value if law.turning else value
+        found[name] = ForceAtStart(value[None], value[None], second, first)
+    return found
+
+
+def draw_forces(axes: Axes3D, mechanism: Mechanism, forces: Mapping[str, Any], size: float, drawn: Drawn) -> None:
+    """Draw the forces at points of a mechanism of a size [m], by their histories from the start."""
     for force in mechanism.point_forces:
-        history = run.forces[force.name]
+        history = forces[force.name]
         places = [np.asarray(part)[0] for part in (history.first_place, history.place)]
         if isinstance(force, LoadOnLink):
             places = places[1:]

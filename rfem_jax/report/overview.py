@@ -9,6 +9,8 @@ import re
 from dataclasses import fields
 from typing import Any
 
+import numpy as np
+
 from rfem_jax.description.basics.joint_kinds import KINDS
 from rfem_jax.description.drives.driven_motions import AnyDrive
 from rfem_jax.description.drives.numbers_by_name import drive_number_names, drive_number_unit, drive_number_value
@@ -24,7 +26,8 @@ from rfem_jax.description.parameters.parameters import parameters_of
 from rfem_jax.description.parameters.parts import parts_of
 from rfem_jax.description.study_file.study import Case, Study
 from rfem_jax.description.tolerances.error_catalogue import as_specified
-from rfem_jax.report.annotations import StartHeld, Structure
+from rfem_jax.mechanics.model.assembly_modes import loop_modes, start_values_text
+from rfem_jax.report.annotations import Model, StartHeld, Structure
 from rfem_jax.report.tables import format_table, title_text
 from rfem_jax.text_layout import wrap_lines
 
@@ -263,6 +266,16 @@ def start_text(start: StartHeld) -> str:
     )
 
 
+def closed_text(model: Model) -> str:
+    """How the loops are closed at the start: start values of all joints, and modes of loops of four joints."""
+    topology = getattr(model, "topology", None)
+    if topology is None or topology.n_cuts == 0:
+        return ""
+    values = start_values_text(topology, np.asarray(model.start_joints))
+    modes = [f"{name} {mode}" for name, mode in loop_modes(model).items()]
+    return wrap_lines(f"Loops are closed with {values}" + (f" ({', '.join(modes)})." if modes else "."))
+
+
 def study_text(study: Study, description: Structure) -> str:
     """Everything the command `check` prints, but the stable step.
 
@@ -273,13 +286,14 @@ def study_text(study: Study, description: Structure) -> str:
     joint_header = ["joint", "kind", "parent", "child", "start", "remarks"]
     cases = [[case.name, _errors_text(mechanism, case)] for case in study.cases]
     gravity = ", ".join(f"{value:g}" for value in mechanism.gravity)
+    plane = ["Plane: x and y, hinges turn about z."] if mechanism.plane == "xy" else []
     save = "by default" if study.save_every is None else f"every {study.save_every:g} s"
     return "\n\n".join(
         [
             title_text(study),
             format_table(link_header, link_rows(mechanism), words=(0, 5)),
             format_table(joint_header, joint_rows(study), words=(0, 1, 2, 3, 5)),
-            "\n".join([*count_lines(mechanism, description), f"Gravity: {gravity} m/s^2."]),
+            "\n".join([*count_lines(mechanism, description), f"Gravity: {gravity} m/s^2.", *plane]),
             f"{_compliance_text(mechanism)}{_clearance_text(mechanism)}{_forces_text(mechanism)}{_drives_text(study)}"
             f"{wrap_lines(start_text(description.start))}\n"
             f"Simulation: {study.duration:g} s with {_method_text(study)}; saved {save}.",

@@ -6,7 +6,7 @@ m those of the perfect, undeformed mechanism; what is drawn is nominal + factor 
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from jaxtyping import Float
@@ -16,8 +16,8 @@ from rfem_jax.description.mechanism.forces import JointForce
 from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.mechanism import Mechanism
 from rfem_jax.description.study_file.study import Study
-from rfem_jax.report.annotations import Axes3D, Figure, Run
-from rfem_jax.report.force_shapes import draw_forces
+from rfem_jax.report.annotations import Axes3D, Figure, Model, Run
+from rfem_jax.report.force_shapes import draw_forces, forces_at_start
 from rfem_jax.report.joint_symbols import (
     Seat,
     draw_force,
@@ -30,6 +30,7 @@ from rfem_jax.report.joint_symbols import (
 from rfem_jax.report.style import CASE_COLOURS, LINE_STYLES, add_titles, new_figure
 from rfem_jax.report.summary import in_legend, status_of
 
+_VIEWS = {"xz": (22.0, -48.0), "xy": (70.0, -90.0)}  # elevation and azimuth [deg], by the plane of the mechanism
 _MOST_PANELS = 6
 _LEGEND_ROW, _LEGEND_FOOT = 0.1875, 0.45  # inches
 SAME_PLACE = 0.02  # of the longest line
@@ -119,10 +120,13 @@ def joint_point(mechanism: Mechanism, joint: Joint, lines: Mapping[str, Line], n
 
 def _limits(runs: Mapping[str, Run], factor: float, guides: Guides) -> tuple[Point, Point]:
     """Lower and upper corner (3,) of a box around all that is drawn, no side too thin."""
-    points = [np.asarray(line) for run in runs.values() for line in run.motion.nominal_lines.values()]
-    points += [line for run in runs.values() for line in exaggerated_lines(run, factor).values()]
-    points += [np.stack(ends) for lines in guides.values() for ends in lines]
-    points = np.concatenate(points)
+    lines = [np.asarray(line) for run in runs.values() for line in run.motion.nominal_lines.values()]
+    return _box([*lines, *(line for run in runs.values() for line in exaggerated_lines(run, factor).values())], guides)
+
+
+def _box(lines: Iterable[Line], guides: Guides) -> tuple[Point, Point]:
+    """Corners of a box around lines and guides."""
+    points = np.concatenate([*lines, *(np.stack(ends) for some in guides.values() for ends in some)])
     points = points[np.isfinite(points).all(axis=1)]
     low, high = points.min(axis=0), points.max(axis=0)
     middle, half = (low + high) / 2.0, 0.55 * (high - low)
@@ -141,7 +145,32 @@ def _draw_mechanism(
     _draw_links(axes, run, lines, colours)
     nominal = {link: np.asarray(line) for link, line in run.motion.nominal_lines.items()}
     size = mechanism_size(nominal)
-    points: dict[str, Point] = {}
+    points = _draw_joints(axes, mechanism, (lines, nominal), colours, places, guides)
+
+    def drawn(link: str, x: float, place: Point) -> Point:
+        """Where a point of a link is drawn: as far from its centre line as it is, but that line exaggerated."""
+        if link == "base":
+            return place
+        assembled = np.asarray(run.motion.centre_lines[link])
+        return place + point_on_line(lines[link], nominal[link], x) - point_on_line(assembled, nominal[link], x)
+
+    if mechanism.point_forces:
+        draw_forces(axes, mechanism, run.forces, size, drawn)
+    _write_names(axes, mechanism, points, lines)
+
+
+def _draw_joints(
+    axes: Axes3D,
+    mechanism: Mechanism,
+    drawn: tuple[Mapping[str, Line], Mapping[str, Line]],
+    colours: Mapping[str, str],
+    places: Mapping[str, Seat],
+    guides: Guides,
+) -> dict[str, Point]:
+    """Draw joints, and the forces in them, on links of which the lines are drawn, and the nominal ones; returns their
+    points."""
+    lines, nominal = drawn
+    size, points = mechanism_size(nominal), {}
     # Sliders first, so that a pin in one of them is seen.
     for joint in sorted(mechanism.joints, key=lambda joint: KINDS[joint.kind].coincident):
         point = joint_point(mechanism, joint, lines, nominal)
@@ -156,15 +185,10 @@ def _draw_mechanism(
     for force in mechanism.forces:
         if isinstance(force, JointForce) and force.joint in places and np.isfinite(points[force.joint]).all():
             draw_force(axes, mechanism, force, points[force.joint], places[force.joint], size)
+    return points
 
-    def drawn(link: str, x: float, place: Point) -> Point:
-        """Where a point of a link is drawn: as far from its centre line as it is, but that line exaggerated."""
-        if link == "base":
-            return place
-        assembled = np.asarray(run.motion.centre_lines[link])
-        return place + point_on_line(lines[link], nominal[link], x) - point_on_line(assembled, nominal[link], x)
 
-    draw_forces(axes, mechanism, run, size, drawn)
+def _write_names(axes: Axes3D, mechanism: Mechanism, points: Mapping[str, Point], lines: Mapping[str, Line]) -> None:
     for names, point in labelled_points({joint.name: points[joint.name] for joint in mechanism.joints}, lines):
         axes.text(point[0], point[1], point[2], f"  {', '.join(names)}", fontsize=9, weight="bold", zorder=6)
 
@@ -201,7 +225,7 @@ def labelled_points(points: Mapping[str, Point], lines: Mapping[str, Line]) -> l
     return found
 
 
-def _format_axes(axes: Axes3D, low: Point, high: Point) -> None:
+def _format_axes(axes: Axes3D, low: Point, high: Point, plane: str) -> None:
     from matplotlib.ticker import MaxNLocator
 
     for axis, letter, lower, upper in zip("xyz", "XYZ", low, high, strict=True):
@@ -209,7 +233,8 @@ def _format_axes(axes: Axes3D, low: Point, high: Point) -> None:
         getattr(axes, f"{axis}axis").set_major_locator(MaxNLocator(3))
     axes.xaxis.labelpad = 7.0  # clear of its numbers where the mechanism is long and thin
     axes.set_box_aspect(high - low, zoom=0.85)  # pyright: ignore[reportArgumentType]  # a float, says its documentation
-    axes.view_init(elev=22.0, azim=-48.0)
+    elevation, azimuth = _VIEWS[plane]
+    axes.view_init(elev=elevation, azim=azimuth)
     axes.tick_params(labelsize=7, pad=0)
 
 
@@ -246,19 +271,47 @@ def assembly_figure(study: Study, runs: Mapping[str, Run], places: Mapping[str, 
     for index, (case, run) in enumerate(shown.items()):
         axes = figure.add_subplot(rows, columns, index + 1, projection="3d", facecolor="none")
         _draw_mechanism(axes, study.mechanism, run, factor, places, guides)
-        _format_axes(axes, low, high)
+        _format_axes(axes, low, high, study.mechanism.plane)
         axes.set_title(f"{in_legend(case, status_of(run))}: {_deflection_text(run)}", y=1.0)
-    # Layout by hand: the automatic one knows neither labels nor legends of 3D axes.
-    below = 0.75 + _LEGEND_ROW * max(_add_legend(figure, study.mechanism), 4)
+    _lay_out(figure, study.mechanism, height)
+    heading = f"Assembled mechanism at the start, deflections exaggerated {factor:g} times"
+    add_titles(figure, heading, study)
+    return figure
+
+
+def start_figure(study: Study, model: Model) -> Figure:
+    """The perfect mechanism at its start, links undeformed, as its loops are closed: without a run."""
+    from rfem_jax.mechanics.model.nominal_geometry import geometry_of, place
+
+    placed, mechanism = place(geometry_of(model), np.asarray(model.start_joints)), study.mechanism
+    ends = placed.origin + np.asarray(model.length)[:, None] * placed.rotation[:, :, 0]
+    lines = {name: np.stack([placed.origin[l], ends[l]]) for l, name in enumerate(model.link_names)}
+    places, size = joint_seats(mechanism, model), mechanism_size(lines)
+    guides = {joint.name: guide_ends(joint, places[joint.name], {}, size) for joint in mechanism.joints}
+    figure = new_figure(6.0, 5.8, layout=None)
+    axes = figure.add_subplot(1, 1, 1, projection="3d", facecolor="none")
+    axes.computed_zorder = False
+    colours = {link: CASE_COLOURS[(n + 1) % len(CASE_COLOURS)] for n, link in enumerate(lines)}
+    for n, (link, line) in enumerate(lines.items()):
+        axes.plot(*line.T, color=colours[link], linestyle=LINE_STYLES[n % len(LINE_STYLES)], linewidth=2.2, label=link)
+    points = _draw_joints(axes, mechanism, (lines, lines), colours, places, guides)
+    draw_forces(axes, mechanism, forces_at_start(model), size, lambda _link, _x, there: there)
+    _write_names(axes, mechanism, points, lines)
+    _format_axes(axes, *_box([*lines.values(), *(point[None] for point in points.values())], guides), mechanism.plane)
+    _lay_out(figure, mechanism, 5.8)
+    add_titles(figure, "The mechanism at its start", study)
+    return figure
+
+
+def _lay_out(figure: Figure, mechanism: Mechanism, height: float) -> None:
+    """Place panels and legend by hand: the automatic layout knows neither labels nor legends of 3D axes."""
+    below = 0.75 + _LEGEND_ROW * max(_add_legend(figure, mechanism), 4)
     height += below - 1.5
     figure.set_figheight(height)
     figure.legends[0].set_bbox_to_anchor((0.5, _LEGEND_FOOT / height))
     figure.subplots_adjust(
         left=0.02, right=0.93, bottom=below / height, top=1.0 - 0.9 / height, wspace=0.08, hspace=0.15
     )
-    heading = f"Assembled mechanism at the start, deflections exaggerated {factor:g} times"
-    add_titles(figure, heading, study)
-    return figure
 
 
 def _add_legend(figure: Figure, mechanism: Mechanism) -> int:

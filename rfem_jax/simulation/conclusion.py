@@ -135,8 +135,8 @@ def _named_results(model: Model, conclusion: Conclusion) -> Run:
         contacts=record.contacts,
         contact_losses=_clearance_histories(model, record.contact_losses),
         contact_changes=conclusion.contact_changes,
-        points={name: PointPath.of(one) for name, one in record.points.items()},
         couplings=record.couplings,
+        points={name: PointPath.of(one, model.topology.plane) for name, one in record.points.items()},
         recorded=conclusion.recorded,
     )
 

@@ -251,18 +251,19 @@ class PointPath(eqx.Module):
     acceleration: Float[Numbers, "*times 3"]
     rotation: Float[Numbers, "*times 3 3"]
     angular_velocity: Float[Numbers, "*times 3"]
+    plane: str = eqx.field(static=True, default="xz")
 
     @classmethod
-    def of(cls, motion: PointMotion) -> "PointPath":
-        """The path of motions at all times."""
-        return cls(*motion)
+    def of(cls, motion: PointMotion, plane: str = "xz") -> "PointPath":
+        """The path of motions at all times, of a mechanism that is described in a plane."""
+        return cls(*motion, plane=plane)
 
     @property
     def angles(self) -> Float[Numbers, "*times 3"]:
         """Angles [rad] of the link about x, y and z, with rotation = R_y R_z R_x: about y is the turn within the plane
         of a planar mechanism, which may exceed a revolution; the other two are small where the link stays near that
-        plane (theory (8.20))."""
-        return angles_of_rotation(jnp.asarray(self.rotation))
+        plane (theory (8.20)). In the plane of x and y it is that about z, with rotation = R_z R_-y R_x."""
+        return angles_of_rotation(jnp.asarray(self.rotation), self.plane)
 
 
 class Run(eqx.Module):

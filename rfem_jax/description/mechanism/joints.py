@@ -16,6 +16,7 @@ from rfem_jax.description.basics.errors import (
     Checks,
     ChecksItself,
     InputError,
+    require_choice,
     require_flag,
     require_instance,
     require_name,
@@ -25,6 +26,8 @@ from rfem_jax.description.basics.numbers import ANY, Fields, Number, NumberTree,
 from rfem_jax.description.mechanism.bearings import Bearing
 from rfem_jax.description.mechanism.clearance import Clearance
 from rfem_jax.description.mechanism.compliance import Compliance, SprungDirection
+
+MODES = ("open", "crossed")
 
 
 @dataclass(frozen=True)
@@ -62,6 +65,9 @@ class Joint(NumberTree, ChecksItself):
         clearance: the play of the pin of a revolute joint in its bush, a `Clearance`, in the place of a compliance;
             None = none. Start values, errors and the angle are those of the joint without play.
         bearing: what it carries, a `Bearing`, for metrics of life and of loads against capacities; None = unknown.
+        mode: how the loop of a cut joint closes at the start, if it has four joints, hinges or three of them and a
+            slide: "open", with the driven joint and the one opposite to it on opposite sides of the diagonal of the two
+            others, or with the larger displacement of the slide; or "crossed". None: as start values say.
     Raises:
         InputError: a value is out of range or of the wrong kind.
     """
@@ -84,6 +90,7 @@ class Joint(NumberTree, ChecksItself):
     rate: float | None = None
     speed: float | None = None
     rates: tuple[float, ...] | None = None
+    mode: str | None = None
 
     # But for start values and the rates of several motions, which are parameters only of some motions.
     numbers: ClassVar[Fields] = {
@@ -112,6 +119,9 @@ class Joint(NumberTree, ChecksItself):
         if checks.passed("kind", "cut"):
             self._set_start(checks, of)
             self._check_rates(checks, of)
+        if self.mode is not None:
+            checks.convert("mode", require_choice, MODES, f"`mode` {of}")
+            checks.relation(("mode", "cut"), self._check_mode, of)
         if self.compliance is not None:
             write = 'write Compliance(radial="1e8 N/m").'
             checks.convert("compliance", require_instance, f"`compliance` {of}", Compliance, write)
@@ -149,6 +159,13 @@ class Joint(NumberTree, ChecksItself):
             raise InputError(
                 f"Argument `clearance` {of} must be given or else `compliance`, but both are; the contacts of the "
                 "clearance have stiffnesses of their own: remove the compliance."
+            )
+
+    def _check_mode(self, of: str) -> None:
+        if not self.cut:
+            raise InputError(
+                f"Argument `mode` {of} must be left out because the joint is not cut, but was {self.mode!r}; it is how "
+                "a loop closes: give it to the cut joint of the loop."
             )
 
     def _check_child(self, of: str) -> None:

@@ -3,7 +3,7 @@
 Place in the pipeline: the whole of what is built, without errors and drive; `mechanics` discretises
 it. Everything is checked at construction.
 
-Symbols: gravity [m/s^2] in the global frame, whose X-Z plane is the plane of the nominal motion.
+Symbols: gravity [m/s^2] in the global frame, whose X-Z plane is the plane of the nominal motion, or its X-Y plane.
 Source: docs/theory/1_discretisation.md, docs/theory/2_frames_and_errors.md.
 """
 
@@ -41,6 +41,8 @@ Part = TypeVar("Part", Link, Joint, Force, Point)
 ELEMENTS = ("linear", "geometrically_exact")
 REACTIONS = PLANAR, MINIMUM_NORM, REFUSE = "planar", "minimum_norm", "refuse"
 STARTS = AS_GIVEN, EQUILIBRIUM = "as_given", "equilibrium"
+PLANES = {"xz": (0.0, 0.0, -9.81), "xy": (0.0, -9.81, 0.0)}  # and gravity that points down in them
+_OF_PLANE: Any = None
 _ROUNDING = 1e-12  # a position at the end of a link may exceed its length by rounding
 
 
@@ -51,7 +53,7 @@ class Mechanism(NumberTree, ChecksItself):
     Args:
         links: Link objects, at least one.
         joints: Joint objects; each link is the child of exactly one that is not cut.
-        gravity: (x, y, z) [m/s^2] in the global frame.
+        gravity: (x, y, z) [m/s^2] in the global frame; None: 9.81 m/s^2 downwards in the plane.
         redundant_reactions: what to do where joint loads are not unique (rigid loops with parallel
             axes): "minimum_norm" for those loads whose sum of squares over all joints is least; "planar" for the same
             where loads in the plane of planar loops are unique, so that only those across it are chosen so, while
@@ -74,6 +76,10 @@ class Mechanism(NumberTree, ChecksItself):
         shaking_point: (x, y, z) [m] in global axes, about which the moment on the base is taken; given, studies report
             what shakes the base; None: the origin of the base.
         base: a Base, whose places move apart with its temperature; None: they stay.
+        plane: in which mechanisms are planar unless joints have other orientations: "xz", x to the right and z up,
+            where hinges turn about y, from z to x, or "xy" with y up, as in a textbook's figure, where hinges turn
+            about z, from x to y: there both frames of every joint, and the sections of links, are turned by a quarter
+            about x (theory (2.22)), so that y of a joint's frame is z of its link.
     Raises:
         InputError: names clash or are unknown, a link is not connected, a loop is not cut, a
             joint lies off a flexible link, or a force does not fit its joint or its links.
@@ -81,7 +87,7 @@ class Mechanism(NumberTree, ChecksItself):
 
     links: tuple[Link, ...]
     joints: tuple[Joint, ...]
-    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
+    gravity: tuple[float, float, float] = _OF_PLANE
     redundant_reactions: str = PLANAR
     driven_joint: str | tuple[str, ...] | None = None
     elements: str = "linear"
@@ -91,6 +97,7 @@ class Mechanism(NumberTree, ChecksItself):
     points: tuple[Point, ...] = ()
     shaking_point: tuple[float, float, float] | None = None
     base: Base | None = None
+    plane: str = "xz"
 
     def _repr_html_(self) -> str:
         return mechanism_html(self)
@@ -98,6 +105,9 @@ class Mechanism(NumberTree, ChecksItself):
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("links", _unique, Link, "links")
         checks.convert("joints", _unique, Joint, "joints")
+        checks.convert("plane", require_choice, tuple(PLANES), "plane")
+        if self.gravity is None:
+            object.__setattr__(self, "gravity", PLANES.get(str(self.plane), PLANES["xz"]))
         checks.convert("gravity", number_vector, "acceleration", "gravity")
         checks.convert("redundant_reactions", require_choice, REACTIONS, "redundant_reactions")
         if self.reaction_length is not None:

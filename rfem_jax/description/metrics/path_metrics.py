@@ -32,7 +32,7 @@ REPORTED = (
 ROUNDING = 1e-13  # m, rad: of places and angles
 _HALVINGS, _SQUARINGS = 40, 20
 _WITH_UNIT = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?\s*[A-Za-z]+$")
-_OUT_OF_PLANE = (0.0, 1.0, 0.0)  # mechanisms are drawn in x and z
+_OUT_OF_PLANE = {"xz": (0.0, 1.0, 0.0), "xy": (0.0, 0.0, 1.0)}
 
 Times3 = Float[Array, "times 3"]
 
@@ -137,9 +137,18 @@ def _place(path: Any) -> tuple[Array, Array]:
     return path.position, path.velocity
 
 
-def _angles(path: Any) -> tuple[Array, Array]:
-    """Angles (times, 3) of `angles_of_rotation`, and their rates: rotation = R_y R_z R_x."""
-    angles, spin = angles_of_rotation(jnp.asarray(path.rotation)), jnp.asarray(path.angular_velocity)
+def _angles(path: Any, plane: str) -> tuple[Array, Array]:
+    """Angles (times, 3) of `angles_of_rotation`, and their rates."""
+    rotation, spin = jnp.asarray(path.rotation), jnp.asarray(path.angular_velocity)
+    if plane == "xy":
+        found = _angles_in_xz(_in_xz(rotation), _components_in_xz(spin))
+        return _components_in_xy(found[0]), _components_in_xy(found[1])
+    return _angles_in_xz(rotation, spin)
+
+
+def _angles_in_xz(rotation: Float[Array, "times 3 3"], spin: Times3) -> tuple[Times3, Times3]:
+    """Angles of rotation = R_y R_z R_x, and their rates."""
+    angles = angles_of_rotation(rotation)
     (sy, cy), (sz, cz) = ((jnp.sin(angles[..., i]), jnp.cos(angles[..., i])) for i in (1, 2))
     # spin = y e_y + z (R_y e_z) + x (R_y R_z e_x), solved for the rates.
     in_plane, rate_z = cy * spin[..., 0] - sy * spin[..., 2], sy * spin[..., 0] + cy * spin[..., 2]
@@ -147,9 +156,28 @@ def _angles(path: Any) -> tuple[Array, Array]:
     return angles, jnp.stack([rate_x, spin[..., 1] - rate_x * sz, rate_z], axis=-1)
 
 
-def angles_of_rotation(rotation: Float[Array, "*times 3 3"]) -> Float[Array, "*times 3"]:
-    """Angles [rad] about x, y and z with rotation = R_y R_z R_x: that about y is the turn in the plane of a planar
-    mechanism, continuous over time (theory (8.20))."""
+def _components_in_xz(vectors: Float[Array, "*times 3"]) -> Float[Array, "*times 3"]:
+    """Components of vectors along x, z and -y, which are x, y and z of a mechanism in the plane of x and y that is
+    turned into that of x and z."""
+    return jnp.stack([vectors[..., 0], vectors[..., 2], -vectors[..., 1]], axis=-1)
+
+
+def _components_in_xy(vectors: Float[Array, "*times 3"]) -> Float[Array, "*times 3"]:
+    """The inverse of `_components_in_xz`."""
+    return jnp.stack([vectors[..., 0], -vectors[..., 2], vectors[..., 1]], axis=-1)
+
+
+def _in_xz(rotation: Float[Array, "*times 3 3"]) -> Float[Array, "*times 3 3"]:
+    """A rotation, of a mechanism that is turned likewise."""
+    rows = _components_in_xz(rotation)
+    return jnp.swapaxes(_components_in_xz(jnp.swapaxes(rows, -1, -2)), -1, -2)
+
+
+def angles_of_rotation(rotation: Float[Array, "*times 3 3"], plane: str = "xz") -> Float[Array, "*times 3"]:
+    """Angles [rad] about x, y and z with rotation = R_y R_z R_x, in the plane of x and y with rotation = R_z R_-y R_x:
+    the first of these is the turn in the plane of a planar mechanism, continuous over time (theory (8.20))."""
+    if plane == "xy":
+        return _components_in_xy(angles_of_rotation(_in_xz(rotation)))
     about_y = jnp.arctan2(-rotation[..., 2, 0], rotation[..., 0, 0])
     about_z = jnp.arcsin(jnp.clip(rotation[..., 1, 0], -1.0, 1.0))
     about_x = jnp.arctan2(-rotation[..., 1, 2], rotation[..., 1, 1])
@@ -177,7 +205,7 @@ def _deviation_at(run: Any, owner: str) -> Float[Array, "3"]:
 
 
 def _angle_deviation_at(run: Any, owner: str) -> Float[Array, "3"]:
-    return _wrapped(_of_instant(run, owner, _angles) - _of_instant(run, owner, _angles, perfect=True))
+    return _wrapped(_of_angles(run, owner) - _of_angles(run, owner, perfect=True))
 
 
 def _root(square: Array) -> Array:
@@ -198,7 +226,7 @@ def _squared_parts(run: Any, owner: str) -> tuple[Array, Array, Array]:
     deviation, speed = _deviation(run, owner), jnp.asarray(_both(run, owner)[1].velocity)
     square = jnp.sum(speed**2, axis=1, keepdims=True)
     tangent = jnp.where(square > 0.0, speed, 0.0) / jnp.sqrt(jnp.where(square > 0.0, square, 1.0))
-    normal = jnp.asarray(_OUT_OF_PLANE)[None]
+    normal = jnp.asarray(_OUT_OF_PLANE[_both(run, owner)[0].plane])[None]
     normal = normal - tangent * jnp.sum(tangent * normal, axis=1, keepdims=True)
     length = jnp.sum(normal**2, axis=1, keepdims=True)
     normal = normal / jnp.sqrt(jnp.where(length > 0.0, length, 1.0))
@@ -335,8 +363,9 @@ def _of_place(run: Any, owner: str) -> Array:
     return _of_instant(run, owner, _place)
 
 
-def _of_angles(run: Any, owner: str) -> Array:
-    return _of_instant(run, owner, _angles)
+def _of_angles(run: Any, owner: str, perfect: bool = False) -> Array:
+    plane = run.points[owner.partition("@")[0]].plane
+    return _of_instant(run, owner, lambda path: _angles(path, plane), perfect)
 
 
 def _mean_square_deviation(run: Any, owner: str) -> Array:
@@ -362,7 +391,7 @@ def _add_deviations() -> None:
          note=f"{BELOW}, which is `max_deviation`", equation="(8.7)")  # fmt: skip
     for i, (name, words) in enumerate(
         (("along", "along the perfect path"), ("across", "across the perfect path, within the plane"),
-         ("out_of_plane", "out of the plane of x and z"))
+         ("out_of_plane", "out of the plane of the mechanism"))
     ):  # fmt: skip
         _add(f"rms_deviation_{name}", "m", f"RMS deviation of {{point}} {words}",
              lambda run, owner, i=i: _root(_mean_over_time(run, _squared_parts(run, owner)[i])),

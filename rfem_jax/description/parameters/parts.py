@@ -26,7 +26,7 @@ Path = tuple[str | int, ...]
 @dataclass(frozen=True)
 class Parts(NumberTree):
     """Links, joints, springs of each joint, forces, gravity [m/s^2] and points, in the order of the mechanism;
-    reaction_length [m], shaking_point [m], base: as of the mechanism.
+    reaction_length [m], shaking_point [m], base and plane: as of the mechanism.
 
     Numbers may be traced: nothing here is checked, unlike in what a user makes.
     """
@@ -40,6 +40,7 @@ class Parts(NumberTree):
     points: tuple[Point, ...] = ()
     shaking_point: tuple[float, float, float] | None = None
     base: Base | None = None
+    plane: str = "xz"
 
     def link(self, name: str) -> Link:
         """The link of a name."""
@@ -67,6 +68,7 @@ def parts_of(mechanism: Mechanism) -> Parts:
         points=tuple(mechanism.points),
         shaking_point=mechanism.shaking_point,
         base=mechanism.base,
+        plane=mechanism.plane,
     )
 
 

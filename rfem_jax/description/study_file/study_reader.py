@@ -60,7 +60,7 @@ DRIVES = {
     "prescribed_run_up": PrescribedRunUp,
     "prescribed_displacements": PrescribedDisplacements,
 }
-_MECHANISM_OPTIONS = ("gravity", "redundant_reactions", "reaction_length", "elements", "shaking_point")
+_MECHANISM_OPTIONS = ("gravity", "redundant_reactions", "reaction_length", "elements", "shaking_point", "plane")
 _MECHANISM_TABLES = ("materials", "sections", "springs", "forces", "couplings", "points", "base")
 MECHANISM_KEYS = (("links", "joints"), (*_MECHANISM_TABLES, *_MECHANISM_OPTIONS))
 SIMULATION_KEYS = (("duration",), ("method", "save_every", "start"))  # and the settings of the method

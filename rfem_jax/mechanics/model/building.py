@@ -36,6 +36,8 @@ from rfem_jax.mechanics.model.orientations import quaternion_of_angles
 from rfem_jax.mechanics.model.sources import ForceNodes, source_of
 from rfem_jax.mechanics.model.warmth import warmed
 
+QUARTER = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # about x: y of a joint is z of its link
+
 
 def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = False) -> Model:
     """Arrays of a mechanism whose links have the given numbers of rfes (by name).
@@ -91,6 +93,7 @@ def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], 
         sprung=tuple(j.sprung for j in joints) if any(j.compliance or j.clearance for j in joints) else (),
         clearances=tuple(n for n, j in enumerate(joints) if j.clearance),
         settles=mechanism.start == EQUILIBRIUM,
+        plane=mechanism.plane,
         massless=tuple(i for i, link in enumerate(links) if link.mass == 0.0),
     )
     return PartStructure(topology, (*acted, *followed), any(any(mass.products) for _, mass in masses))
@@ -110,10 +113,10 @@ def arrays_of(parts: Parts, structure: PartStructure) -> Model:
     model = Model(
         topology=topology,
         length=_array([link.length for link in links]),
-        section=_sections(links),
-        parent_rotation=_rotations([j.orientation for j in joints]),
+        section=_sections(links, parts.plane),
+        parent_rotation=_rotations([j.orientation for j in joints], parts.plane),
         parent_position=_columns([_node_place(topology, links, node, j.position, True) for j, node in seats]),
-        child_rotation=_rotations([j.child_orientation for j in joints]),
+        child_rotation=_rotations([j.child_orientation for j in joints], parts.plane),
         child_position=_columns([_node_place(topology, links, node, j.child_position, j.cut) for j, node in bores]),
         point_mass=_array([mass.mass for mass in masses]),
         point_position=_columns([_node_place(topology, links, node, mass.position, False) for node, mass in held]),
@@ -382,8 +385,9 @@ def _start_rates(joints: Sequence[Joint], topology: Topology) -> Array | None:
     return _array(values)
 
 
-def _sections(links: Sequence[Link]) -> Sections:
+def _sections(links: Sequence[Link], plane: str) -> Sections:
     properties = [link.properties for link in links]
+    y, z = ("y", "z") if plane == "xz" else ("z", "y")  # along the hinges of the plane, and across them
 
     def row(name: str) -> Array:
         return _array([getattr(p, name) for p in properties])
@@ -392,11 +396,11 @@ def _sections(links: Sequence[Link]) -> Sections:
         return jnp.asarray(array_of([[getattr(p, name) for p in properties] for name in names]), jnp.float64)
 
     return Sections(
-        stiffness=rows("axial", "shear_y", "shear_z", "torsion", "bending_y", "bending_z"),
+        stiffness=rows("axial", f"shear_{y}", f"shear_{z}", "torsion", f"bending_{y}", f"bending_{z}"),
         line_density=row("line_density"),
-        rotary=rows("rotary_x", "rotary_y", "rotary_z"),
+        rotary=rows("rotary_x", f"rotary_{y}", f"rotary_{z}"),
         damping=row("damping"),
-        edges=tuple(_edge(link) for link in links),
+        edges=tuple(_edge(link, plane) for link in links),
     )
 
 
@@ -405,9 +409,11 @@ def _array(values: Sequence[Number]) -> Array:
     return jnp.asarray(array_of(list(values)), jnp.float64)  # with its type: without, JAX compiles a program
 
 
-def _edge(link: Link) -> Array | None:
+def _edge(link: Link, plane: str) -> Array | None:
     """Stresses at the edge of a link's section per unit of its loads; None if the section does not give its edge."""
     points = () if link.section is None else link.section.edge_stresses()
+    if plane == "xy":  # moments about y of the section are about z of the link, those about its z about -y
+        points = tuple((axial, -about_z, about_y, torque) for axial, about_y, about_z, torque in points)
     return jnp.asarray(array_of([list(point) for point in points]).T, jnp.float64) if points else None
 
 
@@ -416,9 +422,11 @@ def _columns(rows: Sequence[Sequence[Number]]) -> Array:
     return jnp.asarray(array_of([list(row) for row in rows]).reshape(-1, 3).T, jnp.float64)
 
 
-def _rotations(orientations: Sequence[Sequence[Number]]) -> Array:
-    """Rotations (3, 3, n) by angles about x, y, z."""
+def _rotations(orientations: Sequence[Sequence[Number]], plane: str) -> Array:
+    """Rotations (3, 3, n) by angles about x, y, z, from the axes of joints in a plane (theory (2.22))."""
     rotations = [rotation_of_angles(angles) for angles in orientations]
+    if plane == "xy":
+        rotations = [rotation @ QUARTER for rotation in rotations]
     if traced(rotations):
         return jnp.stack([jnp.asarray(rotation) for rotation in rotations], axis=-1)
     return jnp.asarray(np.stack(rotations, axis=-1), jnp.float64)

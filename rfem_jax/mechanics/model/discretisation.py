@@ -17,6 +17,7 @@ from rfem_jax.description.mechanism.mechanism import AS_GIVEN, ELEMENTS, EQUILIB
 from rfem_jax.description.parameters.parts import parts_of
 from rfem_jax.mechanics.laws.joint_laws import holds
 from rfem_jax.mechanics.laws.point_laws import PointLaw
+from rfem_jax.mechanics.model.assembly_modes import Closed, chosen_closure, is_far
 from rfem_jax.mechanics.model.building import build_model, reaction_length
 from rfem_jax.mechanics.model.model import BASE, Model, Topology
 from rfem_jax.mechanics.model.nominal_geometry import (
@@ -99,7 +100,8 @@ def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | No
     require_choice(elements, ELEMENTS, "elements")
     counts = {link.name: link.elements if rfes is None or link.elements == 1 else int(rfes) for link in mechanism.links}
     built = build_model(mechanism, counts, elements == "geometrically_exact")
-    model = _closed_as_given(_close(built, _about_warmth(mechanism)), np.asarray(built.start_joints))
+    modes = {one.name: one.mode for one in mechanism.cut_joints if one.mode}
+    model = _closed_as_given(_close(built, modes, _about_warmth(mechanism)), np.asarray(built.start_joints))
     _require_apart(model)
     structure = describe(model)
     topology = with_start_freedoms(_with_idle(model), _rates_given(model, mechanism))
@@ -358,8 +360,13 @@ def _about_warmth(mechanism: Mechanism) -> str:
     return " A temperature that bends links is an error of a case, or has a tolerance: give it there."
 
 
-def _close(model: Model, hint: str) -> Model:
-    """Close the nominal rigid loops at the start, or say why they cannot close."""
+def _is_closed(closed: Closed) -> bool:
+    """Whether the loops are closed, with all axes alike."""
+    return bool(np.abs(closed.residual).max() < CLOSING_TOLERANCE and (closed.alignment >= 0.0).all())
+
+
+def _close(model: Model, modes: dict[str, str], hint: str) -> Model:
+    """Close the nominal rigid loops at the start, or say why they cannot close; `modes` of the loops, by cut joints."""
     topology = model.topology
     if topology.n_cuts == 0:
         return model
@@ -367,7 +374,17 @@ def _close(model: Model, hint: str) -> Model:
         closed = close_at(model, np.asarray(model.start_joints), topology.drives[:1])[0]
         topology = _with_dependent_drives(model, closed)
         model = dataclasses.replace(model, topology=topology)
-    joints, residual, alignment, cut_angles = close_at(model, np.asarray(model.start_joints))
+    closed = Closed(*close_at(model, np.asarray(model.start_joints)))
+    if modes or not np.abs(closed.residual).max() < CLOSING_TOLERANCE or is_far(model, closed):
+        chosen = chosen_closure(model, lambda start: Closed(*close_at(model, start)), _is_closed, modes)
+        if chosen is None and modes and np.abs(closed.residual).max() < CLOSING_TOLERANCE:
+            words = " and ".join(f"`{name}` {mode}" for name, mode in modes.items())
+            raise InputError(
+                f"Argument `mechanism` must close at its start as its modes say, but does not with {words}; leave "
+                "`mode` out, or check lengths and positions."
+            )
+        closed = closed if chosen is None else chosen
+    joints, residual, alignment, cut_angles = closed
     if not np.abs(residual).max() < CLOSING_TOLERANCE:
         gap = np.abs(residual).max() * float(np.max(model.length))
         row = int(np.abs(residual).argmax())
@@ -375,7 +392,7 @@ def _close(model: Model, hint: str) -> Model:
         raise InputError(
             f"Argument `mechanism` must close at its start, but joint {worst!r} stays open by "
             f"{gap:.3g} m with every link rigid; check lengths, positions and start angles (all "
-            f"but the driven one are refined).{hint}"
+            f"but the driven one are refined, and other starts were tried).{hint}"
         )
     if (alignment < 0.0).any():
         worst = topology.n_links + int(alignment.argmin())

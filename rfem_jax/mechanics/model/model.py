@@ -100,6 +100,7 @@ class Topology(NamedTuple):
     massless: links without mass, which can only be at rest.
     across: what the loads across the plane of planar rigid loops are where nothing else was asked for
         (`planar_loops.reactions_across`), "" for other mechanisms.
+    plane: "xz" or "xy", in which the description has planar mechanisms.
     """
 
     links: tuple[str, ...]
@@ -128,6 +129,7 @@ class Topology(NamedTuple):
     redundant: int = 0
     massless: tuple[int, ...] = ()
     across: str = ""
+    plane: str = "xz"
 
     def renamed(self, names: Names) -> "Topology":
         """With other names."""

@@ -5,10 +5,12 @@ Place in the pipeline: `load_study` (description) -> `describe` (mechanics), `ch
 """
 
 import argparse
+from pathlib import Path
 from typing import Any
 
-from rfem_jax.report.annotations import Study
+from rfem_jax.report.annotations import Model, Study
 from rfem_jax.report.commands.command import Answer, Command, add_cache, add_study
+from rfem_jax.report.commands.folders import open_folder, require_folder, writing_into
 from rfem_jax.report.commands.steps import announce, discretise_study, read_study, settle_method
 from rfem_jax.report.progress_line import show
 
@@ -39,15 +41,17 @@ def command() -> Command:
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
     add_study(parser)
+    parser.add_argument("--picture", metavar="FILE.png", help="draw the mechanism at its start, without a run")
     add_cache(parser)
 
 
 def act(arguments: argparse.Namespace) -> Answer:
     """Read, describe, look for the largest stable step. Raises InputError."""
+    picture = None if arguments.picture is None else _picture_file(arguments.picture)
     study = read_study(arguments.study)
 
     from rfem_jax.mechanics import describe
-    from rfem_jax.report.overview import design_text, study_text
+    from rfem_jax.report.overview import closed_text, design_text, study_text
     from rfem_jax.report.study_cost import cost_text, times_text
     from rfem_jax.report.tasks.task_overview import tasks_text
     from rfem_jax.simulation import check_step, drive_limit
@@ -55,6 +59,10 @@ def act(arguments: argparse.Namespace) -> Answer:
     model = discretise_study(study)
     structure = describe(model)
     show(study_text(study, structure), end="\n\n")
+    if text := closed_text(model):
+        show(text, end="\n\n")
+    if picture is not None:
+        _draw_start(study, model, picture)
     if text := design_text(study):
         show(text, end="\n\n")
     if text := tasks_text(study):
@@ -78,6 +86,33 @@ def act(arguments: argparse.Namespace) -> Answer:
     if limit is not None:
         show(f"The drive prescribes what the loops do not let it: they stop closing {limit.text}; a run is lost there.")
     return Answer(document=_document(study, structure, step, limit))
+
+
+def _picture_file(path: str) -> Path:
+    """The file of the picture. Raises InputError, before anything is read, for one that is no PNG or cannot be made."""
+    file = Path(path)
+    if file.suffix.lower() != ".png" or not file.stem:
+        from rfem_jax.description.basics.errors import InputError
+
+        raise InputError(
+            f'Argument `--picture` must be a file that ends with ".png", but was {path!r}; write for example start.png.'
+        )
+    require_folder(file.parent)
+    return file
+
+
+def _draw_start(study: Study, model: Model, file: Path) -> None:
+    """Draw the mechanism at its start into a file."""
+    from rfem_jax.report.pictures import drawn, write_pictures
+
+    def write() -> list[Path]:
+        from rfem_jax.report.shapes import start_figure
+
+        return write_pictures(file.parent, {file.stem: start_figure(study, model)})
+
+    with writing_into(open_folder(file.parent)):
+        for written in drawn(write):
+            show(f"The start is drawn in {written}.", end="\n\n")
 
 
 def _document(study: Study, structure: Any, step: float | None, limit: Any) -> dict[str, Any]:
