@@ -23,6 +23,7 @@ from rfem_jax import (
     discretise,
     kinetostatic_turn,
     largest_stable_step,
+    natural_frequencies,
     simulate,
 )
 from rfem_jax.simulation.stability import eigenvalues
@@ -102,6 +103,14 @@ class TestGearPair:
         np.testing.assert_allclose(found[np.argmax(found.imag)], expected, rtol=1e-6)
         undamped = discretise(gear_pair(driven=None))
         np.testing.assert_allclose(largest_stable_step(undamped, Leapfrog(step=1e-6)), 2.0 / np.sqrt(SQUARE), rtol=5e-3)
+
+    def test_natural_frequencies(self):
+        """With the first rotor locked, and with both free to turn against each other."""
+        model = discretise(gear_pair())
+        locked = natural_frequencies(model, count=1).frequency
+        np.testing.assert_allclose(locked, [np.sqrt(STIFFNESS / TWO) / (2.0 * np.pi)], rtol=1e-6)
+        loose = natural_frequencies(model, locked=False, count=2).frequency
+        np.testing.assert_allclose(np.max(loose), np.sqrt(SQUARE) / (2.0 * np.pi), rtol=1e-6)
 
     def test_a_stiff_mesh_in_long_steps(self):
         """A period is a fifth of a step: without its tangent across both joints Newton's method would fail."""
