@@ -245,6 +245,19 @@ def start_text(start: StartHeld) -> str:
     )
 
 
+def _statics_text(study: Study) -> str:
+    """What [statics] asks for."""
+    statics = study.statics
+    if statics is None:
+        return "" if study.duration is not None else "At rest: no [simulation]; `rfem-jax statics` computes its loads."
+    count = max(map(len, statics.positions.values()), default=1)
+    held = ", ".join(dict.fromkeys((*statics.positions, *statics.hold))) or "what drives act on"
+    before = "" if study.duration is None else "\n"
+    return (
+        f"{before}Statics: held {held}, at {count} position{'s' * (count > 1)}; all tasks are of the mechanism at rest."
+    )
+
+
 def study_text(study: Study, description: Structure) -> str:
     """Everything the command `check` prints, but the stable step.
 
@@ -264,7 +277,12 @@ def study_text(study: Study, description: Structure) -> str:
             "\n".join([*count_lines(mechanism, description), f"Gravity: {gravity} m/s^2."]),
             f"{_compliance_text(mechanism)}{_clearance_text(mechanism)}{_forces_text(mechanism)}{_drives_text(study)}"
             f"{wrap_lines(start_text(description.start))}\n"
-            f"Simulation: {study.duration:g} s with {_method_text(study)}; saved {save}.",
+            + (
+                ""
+                if study.duration is None
+                else f"Simulation: {study.duration:g} s with {_method_text(study)}; saved {save}."
+            )
+            + wrap_lines(_statics_text(study)),
             format_table(["case", "assembly errors"], cases, words=(0, 1)),
         ]
     )

@@ -9,6 +9,7 @@ from rfem_jax import load_study
 from rfem_jax.description.basics import tables
 from rfem_jax.description.study_file import force_reader, study, study_reader
 from rfem_jax.description.study_file.key_reference import NEEDED, argument_meanings, key_tables
+from rfem_jax.description.study_file.statics import Statics
 from rfem_jax.description.tasks import costs
 from rfem_jax.description.tolerances import tolerances
 
@@ -141,6 +142,7 @@ def asked(tmp_path, monkeypatch):
         full = full.replace('section = "own"\n', "body = {mass = 1, centre = [0, 0, 0], inertia = [1, 1, 1]}\n")
         start, end = full.index("[drive]"), full.index("[simulation]")
     study_reader.read_drives(tomllib.loads(SLIDES)["drives"])
+    tables.read_table(Statics, {"hold": "A"}, "[statics]")
     return found
 
 
