@@ -23,7 +23,7 @@ from rfem_jax.report.tasks.task_report import GRADIENT, TaskReport, as_stage
 from rfem_jax.text_layout import wrap_lines
 from rfem_jax.tolerancing.contributions import VarianceShares
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
-from rfem_jax.tolerancing.problems.simulated_problem import Problem
+from rfem_jax.tolerancing.problems.static_problem import StaticProblem
 from rfem_jax.tolerancing.sensitivities import Sensitivities
 from rfem_jax.tolerancing.sensitivities import sensitivity as differentiate
 
@@ -64,7 +64,7 @@ class SensitivityReport(TaskReport[SensitivityTask, Derivatives]):
         problem = study_problem.build_problem(study, task.metrics)
         twice = " (twice: with the finer step too)" if self.twice else ""
         progress = as_stage(f"Differentiating {len(task.metrics)} metrics to order {task.order}{twice}")
-        refined = problem.refined() if self.twice and isinstance(problem, Problem) else None
+        refined = problem.refined() if self.twice and not isinstance(problem, StaticProblem) else None
         tolerances = Tolerances.of(self.study)
         found = differentiate(
             problem, task.at, task.order, tolerances, task.mode, batch=task.batch, refined=refined,
