@@ -30,7 +30,7 @@ def cost_text(study: Study) -> str:
             f"{size_text(BYTES * cases * times * numbers_saved(study))}"
         )
     if study.statics is not None:
-        lines.append("  tasks: milliseconds for what is called a simulation below, which is a mechanism at rest")
+        lines.append("  at rest: milliseconds for a case, or for a sample, which tasks call a simulation")
     if study.tasks.declared:
         # Takes seconds: only where there is something to count.
         from rfem_jax.report.tasks.catalogue import report_on
