@@ -35,16 +35,17 @@ _names = {
     ),
     "tolerancing": (
         "CorrelatedNormal Exponential FunctionProblem Metric Normal Problem ProcessNormal Reciprocal "
-        "ReciprocalSquared Tolerances Triangular TruncatedNormal Uniform Zone allocate expand first_samples "
-        "fit_response_surface metric monte_carlo optimise pareto_front path_bands process_capability register_metric "
-        "reliability sensitivity sweep worst_case"
+        "ReciprocalSquared StaticProblem Tolerances Triangular TruncatedNormal Uniform Zone allocate expand "
+        "first_samples fit_response_surface metric monte_carlo optimise pareto_front path_bands process_capability "
+        "register_metric reliability sensitivity sweep worst_case"
     ),
     "compilation.keeping": "keep_programs",
     "task_kinds": "TaskKind register_task",
     "report.page.run_page": "report_run",
     "simulation": (
-        "EquationsOfMotion Run Simulation check_step choose_method cycle_run derivative_residual equations_of_motion "
-        "kinetostatic_turn largest_stable_step natural_frequencies register_method run_cases simulate steady_cycle"
+        "EquationsOfMotion Run Simulation StaticLoads check_step choose_method cycle_run derivative_residual "
+        "equations_of_motion kinetostatic_turn largest_stable_step natural_frequencies register_method run_cases "
+        "simulate static_loads steady_cycle"
     ),
 }
 

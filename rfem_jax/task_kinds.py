@@ -64,11 +64,35 @@ class TaskKind:
 
 
 # Names that study files and the command line use for something else.
-RESERVED_TABLES = ("title", "note", "mechanism", "drive", "drives", "design", "simulation", "cases", "tolerances")
+RESERVED_TABLES = (
+    "title",
+    "note",
+    "mechanism",
+    "drive",
+    "drives",
+    "design",
+    "simulation",
+    "statics",
+    "cases",
+    "tolerances",
+)
 # CSV files, without their ending, of the subcommands that are no tasks.
-OTHER_TABLES = ("turn", "modes", "cycle", "comparison", "comparison_tasks", "validation")
+OTHER_TABLES = ("statics", "statics_sections", "turn", "modes", "cycle", "comparison", "comparison_tasks", "validation")
 # Subcommands that are no tasks, in the order of `--help`: each is a file of `rfem_jax.report.commands` of that name.
-COMMANDS = ("init", "run", "modes", "turn", "cycle", "check", "compare", "keys", "parameters", "report", "validate")
+COMMANDS = (
+    "init",
+    "run",
+    "statics",
+    "modes",
+    "turn",
+    "cycle",
+    "check",
+    "compare",
+    "keys",
+    "parameters",
+    "report",
+    "validate",
+)
 
 # Their classes are those of the two catalogues.
 _own = partial(TaskKind, asks=None, reports=None)

@@ -276,6 +276,28 @@ def closed_text(model: Model) -> str:
     return wrap_lines(f"Loops are closed with {values}" + (f" ({', '.join(modes)})." if modes else "."))
 
 
+def _simulation_lines(study: Study, description: Structure) -> list[str]:
+    """How a simulation starts, how long it is and by which method."""
+    if study.duration is None:
+        return []
+    save = "by default" if study.save_every is None else f"every {study.save_every:g} s"
+    return [
+        wrap_lines(start_text(description.start)),
+        f"Simulation: {study.duration:g} s with {_method_text(study)}; saved {save}.",
+    ]
+
+
+def _statics_text(study: Study) -> str:
+    """What [statics] asks for."""
+    statics = study.statics
+    if statics is None:
+        return "At rest: `rfem-jax statics` computes its loads." if study.duration is None else ""
+    count = max(map(len, statics.positions.values()), default=1)
+    held = ", ".join(dict.fromkeys((*statics.positions, *statics.hold))) or "all that is free, as it starts"
+    places = f"{count} position{'s' * (count > 1)}"
+    return f"Statics: held {held}, at {places}; all tasks are of the mechanism at rest."
+
+
 def study_text(study: Study, description: Structure) -> str:
     """Everything the command `check` prints, but the stable step.
 
@@ -287,7 +309,6 @@ def study_text(study: Study, description: Structure) -> str:
     cases = [[case.name, _errors_text(mechanism, case)] for case in study.cases]
     gravity = ", ".join(f"{value:g}" for value in mechanism.gravity)
     plane = ["Plane: x and y, hinges turn about z."] if mechanism.plane == "xy" else []
-    save = "by default" if study.save_every is None else f"every {study.save_every:g} s"
     return "\n\n".join(
         [
             title_text(study),
@@ -295,8 +316,7 @@ def study_text(study: Study, description: Structure) -> str:
             format_table(joint_header, joint_rows(study), words=(0, 1, 2, 3, 5)),
             "\n".join([*count_lines(mechanism, description), f"Gravity: {gravity} m/s^2.", *plane]),
             f"{_compliance_text(mechanism)}{_clearance_text(mechanism)}{_forces_text(mechanism)}{_drives_text(study)}"
-            f"{wrap_lines(start_text(description.start))}\n"
-            f"Simulation: {study.duration:g} s with {_method_text(study)}; saved {save}.",
+            + "\n".join(filter(None, [*_simulation_lines(study, description), wrap_lines(_statics_text(study))])),
             format_table(["case", "assembly errors"], cases, words=(0, 1)),
         ]
     )

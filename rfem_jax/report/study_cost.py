@@ -21,14 +21,16 @@ STEP_SECONDS, START_SECONDS = 6e-7, 2e-3
 
 def cost_text(study: Study) -> str:
     """Simulations and results of the cases, and the simulations of every task, a line each."""
-    cases, times = len(study.cases), saved_times(study)
-    steps = study.method.step
-    length = "" if steps is None else f" of {_count(round(study.duration / steps), 'step')}"
-    lines = [
-        "Cost",
-        f"  cases: {_count(cases, 'simulation')}{length}, computed together; results at {times} saved times, about "
-        f"{size_text(BYTES * cases * times * numbers_saved(study))}",
-    ]
+    lines = ["Cost"]
+    if study.duration is not None:
+        cases, times, steps = len(study.cases), saved_times(study), study.method.step
+        length = "" if steps is None else f" of {_count(round(study.duration / steps), 'step')}"
+        lines.append(
+            f"  cases: {_count(cases, 'simulation')}{length}, computed together; results at {times} saved times, about "
+            f"{size_text(BYTES * cases * times * numbers_saved(study))}"
+        )
+    if study.statics is not None:
+        lines.append("  at rest: milliseconds for a case, or for a sample, which tasks call a simulation")
     if study.tasks.declared:
         # Takes seconds: only where there is something to count.
         from rfem_jax.report.tasks.catalogue import report_on
@@ -42,7 +44,7 @@ def cost_text(study: Study) -> str:
 
 def times_text(study: Study) -> str:
     """Roughly the time of the cases and of every task, "" where the method chooses its steps itself."""
-    if study.method.step is None:
+    if study.method.step is None or study.duration is None:
         return ""
     bodies = sum(link.elements for link in study.mechanism.links)
     one = START_SECONDS + STEP_SECONDS * bodies * study.duration / study.method.step
@@ -60,15 +62,14 @@ def times_text(study: Study) -> str:
 
 def saved_times(study: Study) -> int:
     """Number of saved times of one case, the start and the jumps of the drive included."""
-    save_every = study.duration / SAVED_BY_DEFAULT if study.save_every is None else study.save_every
+    duration = study.require_duration()
+    save_every = duration / SAVED_BY_DEFAULT if study.save_every is None else study.save_every
     if study.method.step is not None:
         save_every = max(save_every, study.method.step)
     of_forces = [time for force in study.mechanism.point_forces for time in force.jumps()]
     jumps = {*study.drive_jumps, *of_forces}
-    regular = math.ceil(study.duration / save_every * (1.0 - 1e-9))
-    extra = [
-        one for one in jumps if 0.0 < one < study.duration and abs(one / save_every - round(one / save_every)) > 1e-6
-    ]
+    regular = math.ceil(duration / save_every * (1.0 - 1e-9))
+    extra = [one for one in jumps if 0.0 < one < duration and abs(one / save_every - round(one / save_every)) > 1e-6]
     return 1 + regular + len(extra)
 
 

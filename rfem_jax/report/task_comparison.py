@@ -25,6 +25,10 @@ QUANTITIES: dict[str, tuple[tuple[Place, str, str], ...]] = {
         (("cases", "*", "joints", "*", "max_moment"), "largest moment", "N m"),
         (("cases", "*", "stress", "*", "max_stress"), "largest stress", "Pa"),
     ),
+    "statics": (
+        (("cases", "*", "metrics", "*"), "metric", METRIC),
+        (("cases", "*", "holding", "*", "*"), "what holds", METRIC),
+    ),
     "modes": ((("cases", "*", "modes", "*", "frequency"), "natural frequency", "Hz"),),
     "cycle": ((("cases", "*", "revolutions"), "revolutions simulated", NONE),),
     "sensitivity": (

@@ -47,6 +47,7 @@ def key_of(study: Study, task: str) -> str | None:
     try:
         return keys.digest_value(
             (task, asked, tolerances, study.mechanism, study.drive, study.duration, method, study.save_every)
+            + (() if study.statics is None else (study.statics,))
             + (jax.local_device_count(), process_count(), os.cpu_count() or 1)
         )
     except keys.NotDigestible:

@@ -22,6 +22,7 @@
     cases                all cases of a study as one batch
     vibration            modes of the perfect mechanism at rest, for limits of the step
     modes                natural frequencies about assembled configurations, differentiable
+    statics              loads at rest, at given positions; labelled_statics: as tables
     turn                 the mechanism held at positions of its drive
     cycle                the motion that repeats with every revolution of a drive
     stability            the largest stable step
@@ -46,6 +47,7 @@ _names = {
     "solvers.catalogue": "register_method",
     "solvers.explicit": "LeapfrogSolver PeakTracking RungeKutta4Solver",
     "stability": "check_step largest_stable_step",
+    "statics": "StaticLoads static_loads",
     "turn": "Turn kinetostatic_turn",
 }
 

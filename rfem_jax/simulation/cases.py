@@ -76,13 +76,13 @@ def run_cases(
     each = errors_of_cases(study, model)
     errors = jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves), jnp.float64), *each)
     plain = dataclasses.replace(errors, parameters=None)
-    method = choose_method(model, study.method, drive, study.duration, plain, study.save_every)
-    grid, steps = integration.grid_for(drive, study.duration, method, study.save_every, model)
+    method = choose_method(model, study.method, drive, study.require_duration(), plain, study.save_every)
+    grid, steps = integration.grid_for(drive, study.require_duration(), method, study.save_every, model)
     asked = require_records(model, records_for(study.metrics))
     if errors.parameters is not None:
         runs = with_limit(_run_with_parameters(model, errors, drive, study, method, asked), model, drive)
         return model, Runs({case.name: one_of(runs, i) for i, case in enumerate(study.cases)})
-    unfinished = Unfinished(keep, (model, errors, drive, study.duration, method, study.save_every))
+    unfinished = Unfinished(keep, (model, errors, drive, study.require_duration(), method, study.save_every))
     whole = Integration.of_any_step(model, drive, grid, steps, method, errors)
     prepared, carry = integration.prepare_batch(whole, errors)
     try:
@@ -112,7 +112,7 @@ def _run_with_parameters(
 ) -> Run:
     """Runs whose models differ, all at once."""
 
-    settings = {"duration": study.duration, "method": method, "save_every": study.save_every}
+    settings = {"duration": study.require_duration(), "method": method, "save_every": study.save_every}
     simulation = Simulation(model, drive=drive, **settings)
     return jax.tree.map(np.asarray, jax.vmap(lambda one: simulate(simulation, one, record=asked))(errors))
 

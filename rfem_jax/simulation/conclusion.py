@@ -82,11 +82,11 @@ def load_summary(model: Model, carry: Carry, duration: Scalar) -> LoadSummary:
     return LoadSummary(mean, equations.safe_sqrt(mean), highest)
 
 
-def ball_angles(model: Model, record: Record) -> dict[int, Float[Numbers, "times 3"]]:
+def ball_angles(model: Model, joints: Float[Numbers, "times numbers"]) -> dict[int, Float[Numbers, "times 3"]]:
     """Rotation vectors [rad] of tree joints that turn about any axis, by link."""
     topology = model.topology
     balls = {l: at for l, at in enumerate(topology.positions) if topology.kind(l).ball}
-    return {l: angles_of(record.joints[:, at.stop - 4 : at.stop]) for l, at in balls.items()}
+    return {l: angles_of(jnp.asarray(joints[:, at.stop - 4 : at.stop])) for l, at in balls.items()}
 
 
 def run_of(model: Model, conclusion: Conclusion) -> Run:
@@ -111,8 +111,8 @@ def _named_results(model: Model, conclusion: Conclusion) -> Run:
         rate=first.rate,
         drive_moment=first.force,
         drives=drives,
-        angles=_coordinates(model, conclusion, rotation=True),
-        displacements=_coordinates(model, conclusion, rotation=False),
+        angles=joint_coordinates(model, record.joints, conclusion.ball_angles, rotation=True),
+        displacements=joint_coordinates(model, record.joints, conclusion.ball_angles, rotation=False),
         ends={name: record.ends[..., l] for l, name in enumerate(model.link_names)},
         branch={topology.joints[j]: record.branch[..., i] for i, j in enumerate(topology.cuts)},
         centre_lines=dict(conclusion.centre_lines),
@@ -124,7 +124,7 @@ def _named_results(model: Model, conclusion: Conclusion) -> Run:
         times=times,
         loads=Loads({name: Load(*(part[..., j] for part in record.loads)) for name, j in places}),
         preload=named(model, conclusion.preload),
-        metrics=_metrics(model, conclusion.summary),
+        metrics=load_metrics(model, conclusion.summary),
         motion=motion,
         energy=record.energy,
         checks=conclusion.checks,
@@ -144,7 +144,8 @@ def _named_results(model: Model, conclusion: Conclusion) -> Run:
 _compiled = eqx.filter_jit(_named_results)
 
 
-def _metrics(model: Model, summary: LoadSummary) -> Metrics:
+def load_metrics(model: Model, summary: LoadSummary) -> Metrics:
+    """Metrics of the loads by the names of the joints."""
     force, moment = (_joint_values(model, summary.mean_squares[..., kind, :]) for kind in range(2))
     rms_force, rms_moment = (_joint_values(model, summary.rms[..., kind, :]) for kind in range(2))
     return Metrics(
@@ -156,12 +157,18 @@ def _metrics(model: Model, summary: LoadSummary) -> Metrics:
     )
 
 
-def _coordinates(model: Model, conclusion: Conclusion, rotation: bool) -> dict[str, Float[Numbers, "times ..."]]:
-    """Angles or displacements by tree joint: (times,), or (times, k) of a kind that has several."""
-    by_joint, topology, joints = {}, model.topology, conclusion.record.joints
+def joint_coordinates(
+    model: Model,
+    joints: Float[Numbers, "*batch numbers"],
+    of_balls: dict[int, Float[Numbers, "*batch 3"]],
+    rotation: bool,
+) -> dict[str, Float[Numbers, "times ..."]]:
+    """Angles or displacements by tree joint: (times,), or (times, k) of a kind that has several; `of_balls`: as of
+    `ball_angles`."""
+    by_joint, topology = {}, model.topology
     for l, own in enumerate(topology.own_positions):
-        if rotation and l in conclusion.ball_angles:
-            by_joint[topology.joints[l]] = conclusion.ball_angles[l]
+        if rotation and l in of_balls:
+            by_joint[topology.joints[l]] = of_balls[l]
             continue
         freedoms = topology.kind(l).nominal.freedoms
         wanted = [k for k, freedom in zip(own, freedoms) if freedom.rotation is rotation]

@@ -272,7 +272,7 @@ def conclude(
         checks=checks,
         status=status,
         contact_changes=carry.contact_changes,
-        ball_angles=ball_angles(model, record),
+        ball_angles=ball_angles(model, record.joints),
         centre_lines=link_lines(model, prepared.actual, prepared.state.position),
         nominal_lines=link_lines(model, apply_errors(model, assembly_errors(model)), model.start_coordinates()),
         recorded=finished_records(model, prepared.actual, record.asked, record.friction_losses, asked, perfect or {}),

@@ -16,7 +16,7 @@ Place in the pipeline: section_loads, observation -> **records** -> integration;
 """
 
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -31,6 +31,7 @@ from rfem_jax.mechanics.dynamics.base_loads import shaking_load
 from rfem_jax.mechanics.dynamics.loads import velocities
 from rfem_jax.mechanics.dynamics.point_paths import PointMotion
 from rfem_jax.mechanics.dynamics.section_loads import loads_of_sections, stress_squares
+from rfem_jax.mechanics.kinematics.motion import Motion
 from rfem_jax.mechanics.model.model import BASE, Model, State, Topology, rfe_fractions
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 from rfem_jax.simulation.equations import Numbers, safe_sqrt
@@ -42,6 +43,14 @@ OF_LINKS, OF_JOINTS, OF_RUNS = (
     ("masses", "shaking"),
 )
 PERFECT_PATH = "perfect_path"  # of points
+
+
+@runtime_checkable
+class Placed(Protocol):
+    """A mechanism at one instant, of which only the motion is needed."""
+
+    @property
+    def motion(self) -> Motion: ...
 
 
 class PerfectPath(NamedTuple):
@@ -178,7 +187,7 @@ def masses(actual: ModelWithErrors) -> dict[str, Float[Array, ""]]:
     return by_link
 
 
-def deflection(actual: ModelWithErrors, instant: Instant, name: str, fraction: float) -> Float[Array, "3"]:
+def deflection(actual: ModelWithErrors, instant: Placed, name: str, fraction: float) -> Float[Array, "3"]:
     """Displacement [m] of the point at a fraction of a link's length from its place on the undeformed link, in the
     link's frame."""
     topology, relative = actual.topology, instant.motion.relative

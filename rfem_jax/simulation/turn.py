@@ -7,15 +7,12 @@ and weight is sought from there (theory (6.1)). No dynamics: what remains of the
 """
 
 from functools import partial
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from jax.core import Tracer
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.basics.errors import InputError, require_choice
@@ -23,29 +20,16 @@ from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.dynamics.load_axes import AXES, turned_loads
 from rfem_jax.mechanics.dynamics.point_paths import point_motions
-from rfem_jax.mechanics.dynamics.section_loads import loads_of_sections, stress_squares
 from rfem_jax.mechanics.elements.linear_validity import linear_error, linear_range
 from rfem_jax.mechanics.forces.bush_contacts import ContactState, contact_states
-from rfem_jax.mechanics.forces.element_loads import FrameLoads
-from rfem_jax.mechanics.kinematics.motion import Motion
-from rfem_jax.mechanics.model.discretisation import CLOSING_TOLERANCE, close_at
 from rfem_jax.mechanics.model.errors import AssemblyErrors, Errors, errors_of
-from rfem_jax.mechanics.model.inputs import DriveInput
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.with_errors import apply_errors
-from rfem_jax.mechanics.statics.assembly import Load, closed_at_rest, equilibrium, held_angles, named
+from rfem_jax.mechanics.statics.assembly import Load, held_angles, named
 from rfem_jax.mechanics.statics.designs import designed, status_of
-from rfem_jax.simulation.equations import safe_sqrt
+from rfem_jax.simulation.statics import ClosedPose, at_rest, holding_load, largest_stresses, posed, search_poses
 
 POSITIONS = 72  # over a revolution, unless given
-
-
-class ClosedPose(eqx.Module):
-    """Coordinates of the tree joints [rad, m] and angles of the cut joints [rad] of the perfect rigid mechanism, at one
-    position of its drive or, with a first axis, at several."""
-
-    start_joints: Float[Array, "*positions numbers"]
-    cut_angles: Float[Array, "*positions cuts"]
 
 
 class Turn(eqx.Module):
@@ -98,25 +82,10 @@ def turn_positions(
 
 
 def closed_poses(model: Model, positions: Float[np.ndarray, " positions"]) -> ClosedPose:
-    """Closed poses of the perfect rigid mechanism at positions [rad, m] of its first drive; the search for each pose
-    begins at the pose before.
-
-    **Raises:** `InputError` for a position at which the mechanism does not close.
-    """
-    driven, pose, closed = model.topology.driven_position, np.asarray(model.start_joints), []
-    for position in positions:
-        guess = np.array(pose)
-        guess[driven] = position
-        pose, residual, alignment, cut = close_at(model, guess)
-        if np.abs(residual).max(initial=0.0) > CLOSING_TOLERANCE or (alignment < 0.0).any():
-            reached = f"; the last position that closes is {closed[-1][0][driven]:.6g}" if closed else ""
-            raise InputError(
-                f"Argument `positions` must be ones at which the mechanism closes, but at {position:.6g} (rad or m) of "
-                f"joint `{model.driven_joint}` it does not{reached}; give a smaller range."
-            )
-        closed.append((pose, cut))
-    joints, cuts = (np.stack(part) for part in zip(*closed, strict=True))
-    return ClosedPose(jnp.asarray(joints), jnp.asarray(cuts))
+    """Closed poses of the perfect rigid mechanism at positions [rad, m] of its first drive. Raises `InputError` for a
+    position at which it does not close."""
+    assert model.topology.driven_coordinate is not None, "turns are of driven mechanisms"
+    return search_poses(model, {model.topology.driven_coordinate: positions})
 
 
 def kinetostatic_turn(
@@ -157,56 +126,31 @@ def turn_over(model: Model, errors: AssemblyErrors, poses: ClosedPose, axes: str
     return eqx.tree_at(lambda t: t.status, turn, status_of(turn.status, made))
 
 
-class _Still(NamedTuple):
-    """A mechanism at rest, as `loads_of_sections` reads it."""
-
-    motion: Motion
-    angular: Float[Array, "3 nodes"]
-    linear: Float[Array, "3 nodes"]
-    wrenches: list[Float[Array, "6"]]
-    frame_loads: FrameLoads | None
-
-
 def held_at(model: Model, errors: AssemblyErrors, pose: ClosedPose, stresses: bool = True, axes: str = "joint") -> Turn:
     """The mechanism held at one closed pose, with the stresses of its links if wanted; `axes`: as of
     `kinetostatic_turn`."""
     # Crooked pins are those of the start.
     actual, topology = apply_errors(model, errors), model.topology
-    model = eqx.tree_at(lambda m: (m.start_joints, m.cut_angles), model, (pose.start_joints, pose.cut_angles))
-    position, multipliers, status = equilibrium(model, actual, held_angles(model, None))
-    state = loads.static_state(topology, position)
-    resting = closed_at_rest(model, actual, state, multipliers)
-    at_rest = jnp.zeros((3, actual.mass.shape[0]))
-    resting, wrenches = loads.moving_wrenches(actual, resting, at_rest, at_rest)
-    joint = loads.loads_of_wrenches(topology, resting, wrenches, DriveInput())
+    model = posed(model, pose)
+    position, state, status, still = at_rest(model, actual, held_angles(model, None))
     k = topology.driven_coordinate
     assert k is not None, "turns are of driven mechanisms"
-    inside = {} if resting.laws is None else resting.laws.inside
-    meshes = {} if resting.laws is None else resting.laws.couplings or {}
-    plain = joint
-    if topology.clearances:
-        plain = jax.tree.map(jnp.subtract, joint, loads.contact_loads(topology, resting))
+    meshes = {} if still.laws is None else still.laws.couplings or {}
     turned = {}
     if axes != "joint":
-        turned = named(model, turned_loads(topology, resting.motion, resting.closure, joint, axes))
-    still = _Still(resting.motion, at_rest, at_rest, wrenches, resting.frame_loads)
-    stress = {}
-    edges = model.section.edges or (None,) * topology.n_links
-    for l, (name, edge) in enumerate(zip(topology.links, edges, strict=True)):
-        if edge is not None and stresses:
-            of_sections = loads_of_sections(model, actual, state, still, l)
-            stress[name] = safe_sqrt(jnp.max(stress_squares(edge, of_sections.resultants)))
+        turned = named(model, turned_loads(topology, still.motion, still.closure, still.loads, axes))
     energy = loads.energies(actual, state)
+    points = point_motions(actual, still.motion, still.angular, still.linear)
     return Turn(
         position=position.joints[topology.driven_position],
-        loads=named(model, joint),
-        holding=loads.load_along(topology, resting.motion, plain, k) - inside.get(k, jnp.zeros(())),
+        loads=named(model, still.loads),
+        holding=holding_load(model, still, k),
         energy=energy.elastic + energy.gravity,
-        stress=stress,
+        stress=largest_stresses(model, actual, state, still) if stresses else {},
         status=status,
-        contacts=contact_states(actual, resting.motion),
+        contacts=contact_states(actual, still.motion),
         linear_error=linear_error(linear_range(actual, position)),
-        places={name: one.position for name, one in point_motions(actual, resting.motion, at_rest, at_rest).items()},
+        places={name: one.position for name, one in points.items()},
         in_axes=turned,
         couplings={name: mesh.loads for name, mesh in meshes.items()},
     )

@@ -28,6 +28,7 @@ _names = {
     "problems.problem": "FunctionProblem Metric",
     "problems.quadratic_model": "QuadraticModel expand",
     "problems.simulated_problem": "Problem",
+    "problems.static_problem": "StaticProblem",
     "rare_failures.failure_study": "reliability",
     "robust_design.allocation": "allocate",
     "robust_design.cost_models": "Exponential Reciprocal ReciprocalSquared",

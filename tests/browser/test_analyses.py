@@ -57,6 +57,20 @@ LIMIT = {
     "metric": "D.mean_square_moment", "unit": "(N m)^2", "side": "upper", "limit": 20.0, "nominal": 3.0,
     "predicted": 19.5, "verified": 19.75, "margin": 0.25, "shadow_price": -0.125,
 }  # fmt: skip
+STATICS = {
+    "title": "Clamp", "analysis": "statics", "held": {"A": "rad"},
+    "cases": {
+        name: {
+            "status": "ok", "statuses": ["ok", "ok"], "position": {"A": [0.0, 0.5]},
+            "holding": {"A": [factor, 2.0 * factor]},
+            "joints": {"A": {"force": [[3.0, 0.0, 4.0], [6.0, 0.0, 8.0]],
+                             "moment": [[0.0, 1.0, 0.0], [0.0, 2.0, 0.0]]}},
+            "stress": {"lever": [1e6, 2e6]}, "metrics": {"A.max_force": 10.0},
+        }
+        for name, factor in (("perfect", 1.0), ("short", 1.1))
+    },
+    "units": {"A": "N m", "A.max_force": "N"},
+}  # fmt: skip
 OPTIMISE = {
     "title": "Optimum", "criterion": "worst_case", "status": "ok", "message": "found, and a fresh run agrees",
     "objective": 1.25, "terms": {"mass": 0.75, "cost": 5.0}, "initial": {"bar.height": 0.01},
@@ -97,6 +111,18 @@ def cells(page, selector):
         ".map((row) => [...row.cells].map((cell) => cell.textContent))"
     )
     return page.run(script, selector)
+
+
+def test_loads_at_rest_have_tables_and_a_curve(open_page, tmp_path):
+    (tmp_path / "statics.json").write_text(json.dumps(STATICS), encoding="utf-8")
+    page = open_page(write_folder(tmp_path))
+    page.tab("Statics")
+    rows = cells(page, "#static-loads")
+    assert len(rows) == 4 and rows[1][:4] == ["perfect", "A", f"A {math.degrees(0.5):.5g} deg", "10"]
+    assert [row[3] for row in cells(page, "#static-holding")] == ["1", "2", "1.1", "2.2"]
+    assert len(ends(page, "#static-curve polyline")) == 2
+    assert cells(page, "#static-metrics")[0] == ["perfect", "A.max_force", "10", "N"]
+    assert cells(page, "#static-stresses")[3] == ["short", "lever", f"A {math.degrees(0.5):.5g} deg", "2"]
 
 
 def test_the_turn_opens_with_the_joint_whose_moment_is_largest(page):

@@ -9,6 +9,7 @@ from rfem_jax import Coupling, load_study
 from rfem_jax.description.basics import tables
 from rfem_jax.description.study_file import force_reader, study, study_reader
 from rfem_jax.description.study_file.key_reference import NEEDED, argument_meanings, key_tables
+from rfem_jax.description.study_file.statics import Statics
 from rfem_jax.description.tasks import costs
 from rfem_jax.description.tolerances import tolerances
 
@@ -160,6 +161,7 @@ def asked(tmp_path, monkeypatch):
         start, end = full.index("[drive]"), full.index("[simulation]")
     study_reader.read_drives(tomllib.loads(SLIDES)["drives"])
     tables.read_table(Coupling, tomllib.loads(COUPLINGS)["mechanism"]["couplings"][0], "[[mechanism.couplings]]")
+    tables.read_table(Statics, {"hold": "A"}, "[statics]")
     return found
 
 

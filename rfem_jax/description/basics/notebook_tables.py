@@ -49,7 +49,8 @@ def study_html(study: Study) -> str:
     drives = ", ".join(type(one).__name__ for one in study.drives) or "no drive"
     cases = [[case.name, ", ".join(f"{name} = {x:.6g}" for name, x in case.errors.items())] for case in study.cases]
     parts = [rich_text.paragraph(study.note)] if study.note else []
-    parts.append(rich_text.paragraph(f"{study.duration:g} s by {method}; {drives}."))
+    time = "At rest" if study.duration is None else f"{study.duration:g} s by {method}"
+    parts.append(rich_text.paragraph(f"{time}; {drives}."))
     parts.append(rich_text.table(["case", "errors, rad or m"], cases, (0, 1)))
     if study.tasks.declared:
         parts.append(rich_text.paragraph(f"Tasks: {', '.join(study.tasks.declared)}."))

@@ -42,7 +42,8 @@ class MetricKind:
     "coupling";
     `refusal`: of a `JointSubject`, `LinkSubject` or `MetricSubjects` why it has no such metric and what to do, None if
     it has; `equation`: its number in the theory; `instant`: whether a metric of a point is of one instant, which its
-    owner may name."""
+    owner may name; `at_rest`: whether a mechanism at rest has it, too, by the attributes that its loads share with a
+    run."""
 
     name: str
     unit: str
@@ -60,6 +61,7 @@ class MetricKind:
     kinked: bool = False
     equation: str = ""
     instant: bool = False
+    at_rest: bool = False
 
     def labelled(self, owners: Mapping[str, str]) -> str:
         """The label with {kind of owner: its name} put in."""
@@ -107,6 +109,7 @@ def register_metric(
     note: str = "",
     kinked: bool = False,
     equation: str = "",
+    at_rest: bool = False,
     replace: bool = False,
 ) -> None:
     """Add a metric to the catalogue. From then on its name is known everywhere: in `Problem`, in all tolerance
@@ -123,8 +126,7 @@ def register_metric(
         function: `function(run)`, or with `of_joints` and `of_links` `function(run, name)` with the name of the joint
             or the link, returns a scalar in that unit. It is traced and differentiated: write it with `jax.numpy`.
         label: for tables and pictures; "{joint}" ("{link}") stands for the name. Made of the name if left out.
-        even: True if the value does not change when all out-of-plane errors of a planar mechanism change sign
-            (theory (9.3)), None if unknown.
+        even: True if the value does not change with the sign of all out-of-plane errors (theory (9.3)), else None.
         of_joints: True for a metric that every joint has.
         of_links: True for a metric that every link has.
         nonnegative: True if the value is never negative; a limit in a study file must then be positive.
@@ -134,9 +136,9 @@ def register_metric(
         description: a sentence about what it is.
         at_start: True for what the start at rest decides alone, such as a preload; no step has a part in it.
         note: what a reader of the value must know, as "below the maximum"; it is told wherever values are.
-        kinked: True for a value such as a maximum over time, whose derivative jumps where another instant takes over;
-            sensitivities say so.
+        kinked: True where the derivative jumps, as that of a maximum over time; sensitivities say so.
         equation: its number in the theory, as "(8.6)".
+        at_rest: True if `function` may read a `StaticLoads`, too, which has positions in the place of saved times.
         replace: True to replace a metric of the same name.
     Raises: InputError for a name that is no plain word or is taken, for a function that cannot be called, and for a
         metric that is of joints and of links.
@@ -149,7 +151,7 @@ def register_metric(
     for catalogue in CATALOGUES.values():
         catalogue.pop(name, None)
     about = had_by, tuple(records), description, None, at_start, note, kinked, equation
-    add_metric(MetricKind(name, unit, function, label, even, of, nonnegative, *about))
+    add_metric(MetricKind(name, unit, function, label, even, of, nonnegative, *about, at_rest=at_rest))
 
 
 def _require_fitting(name: str, function: Callable[..., Any], both: bool) -> None:
@@ -193,6 +195,32 @@ def only_at_start(names: Iterable[str]) -> bool:
     """Whether the start at rest decides metrics alone, by their names."""
     kinds = [kind_and_owner(name)[0] for name in names]
     return all(kind is not None and kind.at_start for kind in kinds)
+
+
+def at_rest(names: Iterable[str]) -> tuple[str, ...]:
+    """Of metrics by their names those that a mechanism at rest has, too."""
+    return tuple(name for name in names if _why_not_at_rest(name) is None)
+
+
+def require_at_rest(names: Iterable[str], whose: str) -> None:
+    """Raise InputError for metrics that a mechanism at rest has not; `whose`: as " of the task `NAME`,"."""
+    reasons = {name: reason for name in names if (reason := _why_not_at_rest(name)) is not None}
+    if reasons:
+        raise InputError(
+            *(
+                f"Argument `metrics`{whose} must name metrics of a mechanism at rest, but `{name}` {reason}."
+                for name, reason in reasons.items()
+            )
+        )
+
+
+def _why_not_at_rest(name: str) -> str | None:
+    kind, owner = kind_and_owner(name)
+    if kind is None or not kind.at_rest:
+        return "is of a motion; `rfem-jax keys metrics` tells which are of a mechanism at rest, too"
+    if kind.of == "point" and "@" in owner:
+        return f"names an instant; write `{owner.partition('@')[0]}.{kind.name}`, which is of the last position"
+    return None
 
 
 def records_for(names: Iterable[str]) -> tuple[str, ...]:
@@ -271,7 +299,7 @@ def norm_of_squares(squares: Float[Array, "..."], count: int, power: int = PEAK_
 
 
 BELOW = f"smooth {PEAK_POWER}-norm over the saved times, a lower bound of the maximum"
-_OF_LOADS: dict[str, Any] = {"even": True, "of_joints": True, "nonnegative": True}
+_OF_LOADS: dict[str, Any] = {"even": True, "of_joints": True, "nonnegative": True, "at_rest": True}
 
 
 def _register_loads(load: str, unit: str, squared: str) -> None:
@@ -313,6 +341,7 @@ def _add_component(name: str, words: str, description: str) -> None:
         MetricKind(
             name, "N", lambda run, joint: getattr(run.metrics, name)[joint], f"largest {words} force in {{joint}}",
             True, "joint", True, description=description, refusal=_without_axis, kinked=True, equation="(8.6)",
+            at_rest=True,
         )
     )  # fmt: skip
 
@@ -330,7 +359,7 @@ def _register_motion(what: str, unit: str, range_name: str, count: Callable[[Joi
     def one(kind: JointKind, cut: bool) -> bool:
         return not cut and count(kind) == 1
 
-    of = {"even": True, "of_joints": True, "had_by": one}
+    of = {"even": True, "of_joints": True, "had_by": one, "at_rest": True}
     register_metric(
         f"end_{what}", unit, lambda run, joint: values(run, joint)[-1], label=f"{what} of {{joint}} at the end",
         description=f"{what} of the joint at the end of the run", **of,
@@ -350,10 +379,10 @@ register_metric(
 )  # fmt: skip
 register_metric(
     "end_energy", "J", lambda run: run.energy.total[-1], label="energy at the end", even=True,
-    description="kinetic, elastic and potential energy at the end of the run",
+    at_rest=True, description="kinetic, elastic and potential energy at the end of the run",
 )  # fmt: skip
 register_metric(
     "linear_error", "", lambda run: run.checks.linear_error, label="estimated error of linear elements",
-    nonnegative=True,
+    nonnegative=True, at_rest=True,
     description="estimated, relative to the deflections of the link that is worst; it has no derivatives",
 )  # fmt: skip

@@ -79,33 +79,35 @@ def _largest_stress(run: Any, link: str) -> Float[Array, ""]:
 
 _add(
     "run", "mass", "kg", "mass", lambda run: jnp.sum(jnp.stack(list(run.recorded["masses"].values()))),
-    "mass of all links, point masses and bodies", ("masses",),
+    "mass of all links, point masses and bodies", ("masses",), at_rest=True,
 )  # fmt: skip
 _add(
     "link", "mass", "kg", "mass of {link}", lambda run, link: run.recorded["masses"][link.partition("@")[0]],
-    "mass of a link with its point masses", ("masses",),
+    "mass of a link with its point masses", ("masses",), at_rest=True,
 )  # fmt: skip
 _add(
     "link", "peak_stress", "Pa", f"{STRESS_POWER}-norm of the stress in {{link}}", peak_stress,
     f"smooth {STRESS_POWER}-norm over time and section of the von Mises stress of axial force, bending and torsion at "
     "the section's edge", ("{owner}.sections",), _without_edge, equation="(8.13)",
     note=f"smooth {STRESS_POWER}-norm over time and section, near the maximum but not it, which is `max_stress`",
+    at_rest=True,
 )  # fmt: skip
 _add(
     "link", "max_stress", "Pa", "largest stress in {link}", _largest_stress,
     "largest saved von Mises stress, with a kink where time or place of the maximum changes",
-    ("{owner}.sections",), _without_edge, kinked=True,
+    ("{owner}.sections",), _without_edge, kinked=True, at_rest=True,
 )  # fmt: skip
 _add(
     "link", "peak_deflection", "m", "16-norm of the deflection of {link}, below its maximum",
     lambda run, link: p_norm(run.recorded[f"{link}.deflection"]),
     f"{BELOW}, of the distance of a point from its place on the undeformed link",
-    ("{owner}.deflection",), equation="(8.7)", note=BELOW,
+    ("{owner}.deflection",), equation="(8.7)", note=BELOW, at_rest=True,
 )  # fmt: skip
 _add(
     "link", "end_deflection", "m", "deflection of {link} at the end",
     lambda run, link: power_of(jnp.sum(run.recorded[f"{link}.deflection"][-1] ** 2), 1, 2),
     "distance of a point from its place on the undeformed link at the end of the run", ("{owner}.deflection",),
+    at_rest=True,
 )  # fmt: skip
 
 
@@ -121,11 +123,13 @@ _add(
     "joint", "force_ratio", "", "16-norm of the force in {joint} over its capacity", _force_ratio,
     "`peak_force` over the static capacity of the bearing", ("{owner}.bearing",),
     _without_capacity("static_capacity"), note="by `peak_force`, a lower bound of the maximum, which is `max_force`",
+    at_rest=True,
 )  # fmt: skip
 _add(
     "joint", "moment_ratio", "", "16-norm of the moment in {joint} over its capacity", _moment_ratio,
     "`peak_moment` over the moment capacity of the bearing", ("{owner}.bearing",),
     _without_capacity("moment_capacity"), note="by `peak_moment`, a lower bound of the maximum, which is `max_moment`",
+    at_rest=True,
 )  # fmt: skip
 
 
@@ -201,3 +205,38 @@ _add("run", "peak_drive_power", "W", "16-norm of the power of the drives, below 
      f"{BELOW}, of the power of all drives together", (), _without_drive, note=BELOW)  # fmt: skip
 _add("joint", "peak_drive_power", "W", "16-norm of the power of the drive of {joint}, below its maximum", _peak_power,
      f"{BELOW}, of the power of the drives of a joint", (), _without_drive, note=BELOW)  # fmt: skip
+
+
+def _drive_loads(run: Any, joint: str, rotation: bool) -> Float[Array, " times"]:
+    """Moments [N m] or forces [N] of the drive on a coordinate of a joint; of one that does not drive such a
+    coordinate none, NaN."""
+    for name, drive in run.motion.drives.items():
+        owner, _, motion = name.partition(".")
+        if owner == joint and (not motion or motion.startswith("R") is rotation):
+            return jnp.asarray(drive.force)
+    return jnp.full((1,), jnp.nan)
+
+
+def _add_drive_load(what: str, unit: str, rotation: bool, count: Callable[[Any], int]) -> None:
+    """The last and the largest load of a drive, at rest of what holds its coordinate."""
+
+    def had_by(kind: Any, cut: bool) -> bool:
+        return not cut and count(kind) == 1
+
+    def add(name: str, label: str, function: Callable[..., Any], description: str, nonnegative: bool, kinked: bool):
+        kind = MetricKind(name, unit, function, label, True, "joint", nonnegative, had_by, (), description,
+                          lambda joint: None if joint.driven else "it is not driven, nor held by [statics]",
+                          kinked=kinked, at_rest=True)  # fmt: skip
+        add_metric(kind)
+
+    of = f"{what} of the drive, or at rest of what holds the coordinate,"
+    add(f"end_drive_{what}", f"{what} of the drive of {{joint}} at the end",
+        lambda run, joint: _drive_loads(run, joint, rotation)[-1], f"{of} at the end of the run", False,
+        False)  # fmt: skip
+    add(f"max_drive_{what}", f"largest {what} of the drive of {{joint}}",
+        lambda run, joint: jnp.max(jnp.abs(_drive_loads(run, joint, rotation))), f"largest saved {of} in size", True,
+        True)  # fmt: skip
+
+
+_add_drive_load("moment", "N m", True, lambda kind: kind.angles)
+_add_drive_load("force", "N", False, lambda kind: kind.displacements)

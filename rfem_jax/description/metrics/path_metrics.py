@@ -356,6 +356,7 @@ def _add_of_instants() -> None:
                 lambda run, owner, i=i, values=values: values(run, owner)[i],
                 f"{axis}: {meaning}, at the end or at the instant that is named", even=True if even else None,
                 perfect=perfect, nonnegative=False, equation=equation, instant=True,
+                at_rest=True,
             )  # fmt: skip
 
 
@@ -377,7 +378,7 @@ def _add_deviations() -> None:
     of = "of the distance from where the perfect mechanism has the point at the same time"
     _add("deviation", "m", "deviation of {point}", lambda run, owner: _root(jnp.sum(_deviation_at(run, owner) ** 2)),
          "distance from the place of the perfect mechanism, at the end or at the instant that is named", perfect=True,
-         equation="(8.21)", instant=True)  # fmt: skip
+         equation="(8.21)", instant=True, at_rest=True)  # fmt: skip
     _add("mean_square_deviation", "m^2", "mean square deviation of {point}", _mean_square_deviation,
          f"mean square over time {of}", perfect=True, equation="(8.21)")  # fmt: skip
     _add("rms_deviation", "m", "RMS deviation of {point}",
@@ -385,10 +386,11 @@ def _add_deviations() -> None:
          perfect=True, equation="(8.21)")  # fmt: skip
     _add("max_deviation", "m", "largest deviation of {point}",
          lambda run, owner: _root(jnp.max(jnp.sum(_deviation(run, owner) ** 2, axis=1))),
-         f"largest saved value {of}", perfect=True, kinked=True, note=OF_SAVED, equation="(8.21)")  # fmt: skip
+         f"largest saved value {of}", perfect=True, kinked=True, note=OF_SAVED, equation="(8.21)",
+         at_rest=True)  # fmt: skip
     _add("peak_deviation", "m", "16-norm of the deviation of {point}, below its maximum",
          lambda run, owner: p_norm(_deviation(run, owner)), f"{BELOW}, {of}", perfect=True,
-         note=f"{BELOW}, which is `max_deviation`", equation="(8.7)")  # fmt: skip
+         note=f"{BELOW}, which is `max_deviation`", equation="(8.7)", at_rest=True)  # fmt: skip
     for i, (name, words) in enumerate(
         (("along", "along the perfect path"), ("across", "across the perfect path, within the plane"),
          ("out_of_plane", "out of the plane of the mechanism"))
@@ -403,7 +405,7 @@ def _add_deviations() -> None:
          f"root of the mean square over time {turned}", perfect=True, equation="(8.23)")  # fmt: skip
     _add("max_angle_deviation", "rad", "largest angle deviation at {point}",
          lambda run, owner: _root(jnp.max(_turned(run, owner))), f"largest saved value {turned}", perfect=True,
-         kinked=True, equation="(8.23)")  # fmt: skip
+         kinked=True, equation="(8.23)", at_rest=True)  # fmt: skip
 
 
 def _length_of(part: str) -> Callable[[Any, str], Array]:

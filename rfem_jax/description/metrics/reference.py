@@ -31,12 +31,14 @@ class MetricRow:
     meaning: str
     needs: str
     equation: str
+    at_rest: bool = False
 
     @property
     def text(self) -> str:
-        """Meaning, what has it, and equation in one."""
+        """Meaning, what has it, equation, and whether it is also of a mechanism at rest, in one."""
         equation = f", theory {self.equation}" if self.equation else ""
-        return f"{self.meaning}{equation}{f'; {self.needs}' if self.needs else ''}"
+        rest = "; also at rest" if self.at_rest else ""
+        return f"{self.meaning}{equation}{f'; {self.needs}' if self.needs else ''}{rest}"
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,7 @@ def metric_tables() -> list[MetricTable]:
 def _row(kind: MetricKind) -> MetricRow:
     the = {of: f"the {of}" for of in CATALOGUES if of != "run"}
     meaning = kind.description or kind.labelled(the)
-    return MetricRow(kind.name, kind.unit, meaning, needs_of(kind), kind.equation)
+    return MetricRow(kind.name, kind.unit, meaning, needs_of(kind), kind.equation, kind.at_rest)
 
 
 def _of_rotation_refused(kind: MetricKind) -> bool:

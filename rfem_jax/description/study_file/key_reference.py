@@ -33,6 +33,7 @@ from rfem_jax.description.study_file.force_reader import (
     force_keys,
     spring_place,
 )
+from rfem_jax.description.study_file.statics import Statics
 from rfem_jax.description.study_file.study import CASE_KEYS, STUDY_KEYS, Case, Study
 from rfem_jax.description.study_file.study_reader import (
     DRIVES,
@@ -71,7 +72,10 @@ _IN_A_FILE = {  # where a file has something else than the class
     "friction": "table { constant = ..., ... } of a free motion, or a list of them; it is named JOINT_friction",
     "cases": "tables [[cases]]; none means one case without errors",
     "mechanism": "the table [mechanism]",
-    "simulation": "the table [simulation]",
+    "simulation": "the table [simulation]; may be left out where there is [statics]",
+    "statics": "the table [statics]; none means that the tasks are of simulations",
+    "hold": 'joint or list of joints that are held besides those of drives and of `positions`, as "A" or "C.T_y"',
+    "positions": "the table [statics.positions]: JOINT = position, or a list of positions",
     "drive": "the table [drive]; none means no drive",
     "drives": "tables [[drives]] beside [drive] or in its place, for several drives at once",
     "tolerances": "the table [tolerances]",
@@ -123,6 +127,7 @@ def key_tables() -> list[KeyTable]:
         header, own = f'[drive] or [[drives]] of kind "{name}"', {"kind": f'"{name}"'}
         tables.append(_table(header, kind, *drive_keys(name), own))
     tables += _simulation_tables()
+    tables.append(_table("[statics]", Statics, *keys_of(Statics), _IN_A_FILE))
     tables.append(_table("[[cases]]", Case, *CASE_KEYS))
     tolerance = _table("[tolerances] ERROR", SpecifiedTolerance, *keys_of(SpecifiedTolerance, omit=("error",)))
     either = Key("ERROR = ...", "-", "a half-width alone, or a table { ... } of the keys below")

@@ -67,6 +67,7 @@ def study_schema() -> Schema:
         "drive": {"anyOf": drives},
         "drives": _list_of(drives),
         "simulation": one("[simulation]", settings | methods),
+        "statics": one("[statics]"),
         "cases": _list_of([one("[[cases]]")]),
         "tolerances": _named(tolerances, correlated=correlated),
     }
@@ -77,6 +78,8 @@ def study_schema() -> Schema:
             within["cost"] = _named([cost], **cost["properties"])
         own[name] = one(f"[{name}]", within)
     schema = one("top level", own)
+    schema["required"] = [name for name in schema["required"] if name != "simulation"]
+    schema |= {"if": {"not": {"required": ["statics"]}}, "then": {"required": ["simulation"]}}
     return {"$schema": "http://json-schema.org/draft-07/schema#", "title": "A study of rfem_jax", **schema}
 
 

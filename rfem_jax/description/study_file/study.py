@@ -25,7 +25,7 @@ from rfem_jax.description.basics.errors import (
     suggestion,
 )
 from rfem_jax.description.basics.notebook_tables import study_html
-from rfem_jax.description.basics.tables import checked_table, read_list, read_toml
+from rfem_jax.description.basics.tables import checked_table, read_list, read_table, read_toml
 from rfem_jax.description.basics.units import positive_quantity, quantity
 from rfem_jax.description.drives.driven_motions import (
     AnyDrive,
@@ -38,12 +38,14 @@ from rfem_jax.description.drives.numbers_by_name import drives_with
 from rfem_jax.description.drives.rotations import PrescribedDrive, PrescribedTable
 from rfem_jax.description.drives.translations import PrescribedDisplacements
 from rfem_jax.description.mechanism.mechanism import STARTS, Mechanism
-from rfem_jax.description.methods import Method
+from rfem_jax.description.methods import Automatic, Method
+from rfem_jax.description.metrics.catalogue import require_at_rest
 from rfem_jax.description.metrics.path_metrics import REPORTED
 from rfem_jax.description.metrics.shaking_metrics import with_shaking
 from rfem_jax.description.metrics.subjects import require_metric, subjects_of
 from rfem_jax.description.parameters.design_table import read_design
 from rfem_jax.description.parameters.deviations import known_while_reading, require_signs, require_sizes
+from rfem_jax.description.study_file.statics import Statics
 from rfem_jax.description.study_file.study_reader import read_drive, read_drives, read_mechanism, read_simulation
 from rfem_jax.description.tasks.settings import metric_names
 from rfem_jax.description.tasks.study_tasks import Tasks, read_tasks
@@ -57,8 +59,8 @@ LONGEST_NAME = 100
 DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(10))}
 # And those of tasks.
 STUDY_KEYS = (
-    ("mechanism", "simulation"),
-    ("title", "note", "drive", "drives", "design", "cases", "tolerances", "metrics"),
+    ("mechanism", "simulation"),  # which may be left out where there is [statics]
+    ("title", "note", "drive", "drives", "design", "cases", "tolerances", "metrics", "statics"),
 )
 CASE_KEYS = (("name",), ("errors",))
 _ROUNDING = 1.0 + 1e-9  # 0.5 / 1e-3 and the like must not fail by rounding
@@ -91,7 +93,7 @@ class Study(ChecksItself):
         title: one line.
         mechanism: a Mechanism.
         drive: a given or prescribed drive on a joint of the tree, a list of them, or None.
-        duration: [s], > 0.
+        duration: [s], > 0; None of a study of a mechanism at rest, which nothing simulates.
         method: a Method.
         save_every: interval [s] between saved times, or None for the simulation's default.
         cases: Case objects with unique names; none means one case "nominal" without errors.
@@ -106,15 +108,17 @@ class Study(ChecksItself):
         start: "as_given": freedoms that no drive holds start at the start values of the joints, at their initial rates,
             once flexible links have settled; "equilibrium": they start in static equilibrium, at rest. None = as the
             mechanism says ("as_given").
+        statics: what is held, and where, as `Statics`: the metrics of all tasks are then those of the mechanism at
+            rest. None: they are those of simulations.
     Raises:
         InputError: parts do not fit each other.
     """
 
     title: str
     mechanism: Mechanism
-    drive: AnyDrive | tuple[AnyDrive, ...] | None
-    duration: float
-    method: Method
+    drive: AnyDrive | tuple[AnyDrive, ...] | None = None
+    duration: float | None = None
+    method: Method = field(default_factory=Automatic)
     save_every: float | None = None
     cases: tuple[Case, ...] = ()
     path: Path | None = None
@@ -124,6 +128,7 @@ class Study(ChecksItself):
     design: dict[str, Any] = field(default_factory=dict)
     metrics: tuple[str, ...] = ()
     start: str | None = None
+    statics: Statics | None = None
 
     def _repr_html_(self) -> str:
         return study_html(self)
@@ -135,7 +140,8 @@ class Study(ChecksItself):
             checks.convert(name, _of_kind, name, kind)
         checks.convert("drive", _drives)
         checks.convert("cases", _cases)
-        checks.convert("duration", positive_quantity, "time", "duration")
+        if self.duration is not None:
+            checks.convert("duration", positive_quantity, "time", "duration")
         if self.save_every is not None:
             checks.convert("save_every", positive_quantity, "time", "save_every")
         checks.relation(("duration", "method", "save_every"), self._check_times)
@@ -143,13 +149,16 @@ class Study(ChecksItself):
         if self.start is not None:
             checks.convert("start", require_choice, STARTS, "start")
             checks.relation(("mechanism", "start"), self._set_start)
+        if self.statics is not None:
+            checks.convert("statics", _of_kind, "statics", Statics)
+            checks.relation(("mechanism", "drive", "statics"), self._resolve_statics)
         checks.relation(("mechanism", "drive", "design"), self._check_design)
         checks.relation(("drive", "duration"), self._check_drive_end)
         checks.relation(("mechanism", "cases"), self._check_cases)
-        checks.relation(("mechanism", "drive", "tasks"), self._check_tasks)
+        checks.relation(("mechanism", "drive", "tasks", "statics"), self._check_tasks)
         if self.metrics:
             checks.convert("metrics", metric_names)
-        checks.relation(("mechanism", "drive", "metrics"), self._resolve_metrics)
+        checks.relation(("mechanism", "drive", "duration", "metrics", "statics"), self._resolve_metrics)
 
     @property
     def tolerances(self) -> SpecifiedTolerances | None:
@@ -166,7 +175,24 @@ class Study(ChecksItself):
             f"Argument `name` must be a case of the study, but `{name}` is none; {suggestion(name, known)}"
         )
 
+    def require_duration(self) -> float:
+        """The duration [s]. Raises InputError for a study that has none."""
+        if self.duration is None:
+            raise InputError(
+                "Argument `duration` of a study must be given for a simulation, but is missing; add a table "
+                "[simulation] with it, or compute loads at rest: `rfem-jax statics`, and the tasks with a table "
+                "[statics]."
+            )
+        return self.duration
+
+    @property
+    def mechanism_at_rest(self) -> Mechanism:
+        """The mechanism with all that is held when it is at rest."""
+        return self.mechanism if self.statics is None else self.statics.held(self.mechanism)
+
     def _check_times(self) -> None:
+        if self.duration is None:
+            return
         step, saving, problems = self.method.step, self.save_every, []
         if step is not None and step > self.duration * _ROUNDING:
             problems.append(
@@ -268,6 +294,8 @@ class Study(ChecksItself):
         return {name: value for name, value in self.design.items() if isinstance(value, tuple)}
 
     def _check_drive_end(self) -> None:
+        if self.duration is None:
+            return
         for one in self.drives:
             end = one.times[-1] if isinstance(one, (PrescribedTable, PrescribedDisplacements)) else self.duration
             if end * _ROUNDING < self.duration:
@@ -295,10 +323,23 @@ class Study(ChecksItself):
 
     def _check_tasks(self) -> None:
         with known_while_reading(self.mechanism, self.drives):
-            object.__setattr__(self, "tasks", self.tasks.resolved(self.mechanism))
+            object.__setattr__(self, "tasks", self.tasks.resolved(self.mechanism_at_rest))
+        if self.statics is None:
+            return
+        problems = Problems()
+        for name in self.tasks.declared:
+            with problems.noted():
+                metrics = getattr(self.tasks.asked[name], "metrics", ())
+                require_at_rest(metrics, f" of the task `{name}`, whose study has [statics],")
+        problems.refuse()
+
+    def _resolve_statics(self) -> None:
+        assert self.statics is not None, "there is such a table"
+        object.__setattr__(self, "statics", self.statics.resolved(self.mechanism))
+        self.mechanism_at_rest  # noqa: B018  # raises where its parts do not fit
 
     def _resolve_metrics(self) -> None:
-        subjects = subjects_of(self.mechanism)
+        subjects = subjects_of(self.mechanism_at_rest if self.duration is None else self.mechanism)
         found = [one for name in self.metrics for one in require_metric(name, subjects, "mechanism")]
         owners = {name.partition(".")[0].partition("@")[0] for name in found}
         silent = [point.name for point in self.mechanism.points if point.name not in owners]
@@ -331,12 +372,14 @@ def _read_study(content: dict[str, Any], path: Path) -> Study:
     """The study of the tables of a file; what is wrong in one table does not hide what is wrong in others."""
     problems = Problems()
     required, optional = STUDY_KEYS
+    if "statics" in content:
+        required, optional = required[:1], (*required[1:], *optional)
     content = checked_table(content, "The top level", required, (*optional, *task_kinds()), problems)
     parts: dict[str, Any] = {"title": path.stem, "drive": None, "path": path}
     parts |= {name: content[name] for name in ("title", "note", "metrics") if name in content}
     readers: dict[str, Callable[[Any], Any]] = {
         "mechanism": read_mechanism, "drive": read_drive, "drives": read_drives, "simulation": read_simulation,
-        "cases": _read_cases,
+        "cases": _read_cases, "statics": lambda table: read_table(Statics, table, "[statics]"),
     }  # fmt: skip
     for name, read in readers.items():
         if name in content:
@@ -353,8 +396,11 @@ def _read_study(content: dict[str, Any], path: Path) -> Study:
     if content.get("tolerances") is ABSENT:
         parts["tasks"] = ABSENT
     times = ("duration", "method", "save_every", "start")
-    simulation = parts.pop("simulation")
-    parts |= dict.fromkeys(times, ABSENT) if simulation is ABSENT else dict(zip(times, simulation, strict=True))
+    simulation = parts.pop("simulation", {})
+    if simulation is ABSENT:
+        parts |= dict.fromkeys(times, ABSENT)
+    elif simulation:
+        parts |= dict(zip(times, simulation, strict=True))
     study = problems.attempt(lambda: Study(**parts))
     problems.refuse()
     return study

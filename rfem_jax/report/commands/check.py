@@ -73,6 +73,8 @@ def act(arguments: argparse.Namespace) -> Answer:
         names = ", ".join(model.link_names[l] for l in model.topology.massless)
         show(f"Links without mass ({names}): only positions at rest can be computed, as by `rfem-jax turn`.")
         return Answer(document=_document(study, structure, step, None))
+    if study.duration is None:
+        return Answer(document=_document(study, structure, step, None))
     if study.method.name == "auto":
         study = settle_method(study)
     else:

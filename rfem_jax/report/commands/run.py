@@ -101,7 +101,7 @@ def _with_place(statuses: dict[str, Any], runs: dict[str, Run], study: Study) ->
     from rfem_jax.simulation.locking import drive_limit
 
     model = next(iter(runs.values())).model
-    limit = None if model is None else drive_limit(model, study.designed_drive, study.duration)
+    limit = None if model is None else drive_limit(model, study.designed_drive, study.require_duration())
     if limit is None:
         return statuses
     told = STATUS[PAST_LIMIT]._replace(message=f"{STATUS[PAST_LIMIT].message} It locks {limit.text}.")
@@ -144,7 +144,7 @@ def _simulate(study: Study, folder: Path) -> dict[str, Run]:
     count = len(study.cases)
     stage = f"Simulating {count} case{'s' if count > 1 else ''}"
     announce(stage)
-    reached, kept = 0.0, folder / UNFINISHED
+    reached, kept, duration = 0.0, folder / UNFINISHED, study.require_duration()
 
     def progress(done: float) -> None:
         nonlocal reached
@@ -158,7 +158,7 @@ def _simulate(study: Study, folder: Path) -> dict[str, Run]:
         if not kept.exists():
             raise
         raise Interrupted(
-            f"the cases are simulated up to {reached * study.duration:.3g} s of {study.duration:g} s, which is kept in "
+            f"the cases are simulated up to {reached * duration:.3g} s of {duration:g} s, which is kept in "
             f"{kept}; the same command goes on from there."
         ) from None
     return runs

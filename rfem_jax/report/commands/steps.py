@@ -37,18 +37,22 @@ def read_study(path: str) -> Study:
     return study
 
 
-def discretise_study(study: Study) -> Model:
-    """The model of the study's mechanism; what is wrong with it is said with the file's name."""
+def discretise_study(study: Study, at_rest: bool = False) -> Model:
+    """The model of the study's mechanism, `at_rest` with what its table [statics] holds; what is wrong with it is said
+    with the file's name."""
     from rfem_jax.description.basics.errors import located
     from rfem_jax.mechanics.statics.designs import model_of_study
 
     with located(f"Study file `{study.path}`"):
-        return model_of_study(study)
+        return model_of_study(study, at_rest)
 
 
 def settle_method(study: Study, task: str = "") -> Study:
     """The study with a method whose step is known to be stable; says what "auto" stands for, for its cases or a
-    task."""
+    task. Raises InputError for a study without a simulation, but for tasks of a mechanism at rest."""
+    if task and study.statics is not None:
+        return study
+    duration = study.require_duration()
     from rfem_jax.simulation import check_step
 
     model = discretise_study(study)
@@ -62,7 +66,7 @@ def settle_method(study: Study, task: str = "") -> Study:
 
     announce("Choosing the method and its step")
     trials = _trials(study, task) if task else None
-    method = choose_method(model, study.method, study.designed_drive, study.duration, trials, study.save_every)
+    method = choose_method(model, study.method, study.designed_drive, duration, trials, study.save_every)
     purpose = "" if trials is None else f" for {task.replace('_', ' ')}"
     note(f"Method auto{purpose}: {method.name} with a step of {method.step:.3g} s.")
     return replace(study, method=method, asked_method=study.method)
@@ -70,7 +74,7 @@ def settle_method(study: Study, task: str = "") -> Study:
 
 def settle_task(study: Study, task: str, folder: Path) -> Study:
     """The study, whose method is that of its cases, with the method for a task. Raises Interrupted."""
-    if study.asked_method is None or _trials(study, task) is None:
+    if study.asked_method is None or study.statics is not None or _trials(study, task) is None:
         return study
     from dataclasses import replace
 

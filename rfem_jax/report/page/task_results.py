@@ -21,7 +21,8 @@ MOST_NUMBERS = 80_000  # of the samples, four bytes each
 MOST_TEXT = 400_000  # characters of one task's JSON
 MOST_LIST = 4096  # entries of a list of it
 LARGEST = 50_000_000  # bytes of a file that is read
-ANALYSES = {"turn": "Turn", "modes": "Modes", "cycle": "Cycle"}  # files of `report.analyses` and of the command `cycle`
+# Files of `report.analyses` and of the command `cycle`.
+ANALYSES = {"statics": "Statics", "turn": "Turn", "modes": "Modes", "cycle": "Cycle"}
 
 
 def read_json(path: Path) -> dict[str, Any] | None:

@@ -36,6 +36,7 @@ from rfem_jax.report.tasks.task_report import GRADIENT, as_stage
 from rfem_jax.text_layout import size_text
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.problems.sharing import process_count, process_index
+from rfem_jax.tolerancing.problems.simulated_problem import Problem
 from rfem_jax.tolerancing.sampling.monte_carlo_result import MonteCarloResult
 from rfem_jax.tolerancing.sampling.monte_carlo_study import first_samples, monte_carlo_samples
 from rfem_jax.tolerancing.sampling.monte_carlo_study import monte_carlo as sample_problem
@@ -81,7 +82,8 @@ class MonteCarloReport(SampledReport[MonteCarloTask, MonteCarloResult]):
                 sobol_indices=task.sobol_indices, control_variate=task.control_variate or None, progress=progress,
                 **self.kept_as(folder),
             )  # fmt: skip
-        if not task.bands or process_index() != 0:
+        # A mechanism at rest has no path.
+        if not task.bands or process_index() != 0 or not isinstance(problem, Problem):
             return result
         on_stage(f"Paths of {', '.join(task.bands)}")
         return replace(result, path_bands=path_bands(problem, result, task.bands))

@@ -66,6 +66,8 @@ def describe_study(study: Study) -> dict[str, str]:
     method = study.method if study.asked_method is None else study.asked_method
     parts = {"mechanism": study.mechanism, "drive": study.drive}
     parts["simulation"] = (study.duration, method, study.save_every)
+    if study.statics is not None:
+        parts["statics"] = study.statics
     found = {}
     for name, part in parts.items():
         with suppress(keys.NotDigestible):

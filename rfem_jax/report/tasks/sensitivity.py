@@ -23,6 +23,7 @@ from rfem_jax.report.tasks.task_report import GRADIENT, TaskReport, as_stage
 from rfem_jax.text_layout import wrap_lines
 from rfem_jax.tolerancing.contributions import VarianceShares
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
+from rfem_jax.tolerancing.problems.static_problem import StaticProblem
 from rfem_jax.tolerancing.sensitivities import Sensitivities
 from rfem_jax.tolerancing.sensitivities import sensitivity as differentiate
 
@@ -52,6 +53,8 @@ class SensitivityReport(TaskReport[SensitivityTask, Derivatives]):
     @property
     def twice(self) -> bool:
         """Whether a finer step shows how far derivatives can be trusted: where asked, and where pins may strike."""
+        if self.study.statics is not None:
+            return False
         striking = any(joint.clearance for joint in self.study.mechanism.joints)
         return self.task.half_step or (striking and not only_at_start(self.task.metrics))
 
@@ -61,7 +64,7 @@ class SensitivityReport(TaskReport[SensitivityTask, Derivatives]):
         problem = study_problem.build_problem(study, task.metrics)
         twice = " (twice: with the finer step too)" if self.twice else ""
         progress = as_stage(f"Differentiating {len(task.metrics)} metrics to order {task.order}{twice}")
-        refined = problem.refined() if self.twice else None
+        refined = problem.refined() if self.twice and not isinstance(problem, StaticProblem) else None
         tolerances = Tolerances.of(self.study)
         found = differentiate(
             problem, task.at, task.order, tolerances, task.mode, batch=task.batch, refined=refined,

@@ -9,8 +9,10 @@ from jax.typing import ArrayLike
 
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.mechanics.model.model import Model
+from rfem_jax.mechanics.statics.designs import model_of_study
 from rfem_jax.simulation import Simulation
 from rfem_jax.tolerancing.problems.simulated_problem import Problem
+from rfem_jax.tolerancing.problems.static_problem import StaticProblem
 
 
 def build_problem(
@@ -18,6 +20,10 @@ def build_problem(
     metrics: Sequence[str],
     model: Model | None = None,
     trials: Mapping[str, ArrayLike] | None = None,
-) -> Problem:
-    """The study's mechanism, drive and method as a function of its errors; `trials` as those of `Simulation`."""
+) -> Problem | StaticProblem:
+    """The study's mechanism, drive and method as a function of its errors, with a table [statics] its mechanism at
+    rest; `trials` as those of `Simulation`."""
+    if study.statics is not None:
+        model = model_of_study(study, at_rest=True) if model is None else model
+        return StaticProblem(model, metrics, study.statics.positions)
     return Problem(Simulation.of(study, model=model, trials=trials), metrics)

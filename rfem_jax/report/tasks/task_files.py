@@ -29,6 +29,7 @@ def write_task_json(path: Path, study: Study, name: str, result: dict[str, Any])
         "note": study_note(study) or None,
         "duration": study.duration,
         "method": study.method.as_table(),
+        **({} if study.statics is None else {"statics": asdict(study.statics)}),
         "task": {"name": name, **asdict(study.tasks.asked[name])},
         "tolerances": None if specified is None else asdict(specified),
         **result,

@@ -6,14 +6,13 @@ The only place where tolerance studies meet the mechanics.
 
 import functools
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from rfem_jax.compilation.program import Program
@@ -22,21 +21,11 @@ from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.description.drives.driven_motions import Drive
 from rfem_jax.description.drives.numbers_by_name import drive_number_unit
 from rfem_jax.description.methods import GeneralisedAlpha, Method
-from rfem_jax.description.metrics.catalogue import kind_and_owner, only_at_start
-from rfem_jax.description.metrics.subjects import (
-    CouplingSubject,
-    JointSubject,
-    LinkSubject,
-    MetricSubjects,
-    PointSubject,
-    require_metric,
-)
-from rfem_jax.description.tolerances.error_catalogue import error_unit
+from rfem_jax.description.metrics.catalogue import only_at_start
 from rfem_jax.mechanics.model.errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.model.model import Model
-from rfem_jax.mechanics.model.planar_loops import require_closable
 from rfem_jax.mechanics.model.status import PAST_LIMIT, STATUS
-from rfem_jax.mechanics.statics.designs import Design, Designed, NamedValue, designed, parameters
+from rfem_jax.mechanics.statics.designs import Design, Designed, designed
 from rfem_jax.simulation.conclusion import run_of_design
 from rfem_jax.simulation.driving import design_with, drive_numbers, drive_of_design, require_driven
 from rfem_jax.simulation.integration import grid_for
@@ -47,16 +36,19 @@ from rfem_jax.simulation.simulating import perfect_model, simulated
 from rfem_jax.simulation.specification import Simulation, simulation_of_call
 from rfem_jax.simulation.stepping import Integration, contact_tolerance_of
 from rfem_jax.simulation.time_grid import TimeGrid, longest_interval, of_any_step
-from rfem_jax.tolerancing.checks import check_distinct, check_known, error_value
+from rfem_jax.tolerancing.checks import check_distinct, error_value
+from rfem_jax.tolerancing.problems.mechanism_problem import (
+    LINEAR_ERROR,
+    Errors,
+    MechanismProblem,
+    known_metric,
+    records_of,
+)
 from rfem_jax.tolerancing.problems.metrics import metric
 from rfem_jax.tolerancing.problems.problem import Metric, Status, Values
 
-LINEAR_ERROR = "linear_error"
 
-Errors = Mapping[str, ArrayLike | str] | AssemblyErrors
-
-
-class Problem(eqx.Module):
+class Problem(MechanismProblem):
     """A mechanism under a drive as a pure function of its assembly errors.
 
     `problem(errors)` takes {error name: number in rad or m, or a string with a unit} (or `AssemblyErrors`) and returns
@@ -111,18 +103,11 @@ class Problem(eqx.Module):
         model = simulation.model
         self.model, self.drive, self.design, self.steps = model, simulation.drive, simulation.design, None
         metrics = (metrics,) if isinstance(metrics, (str, Metric)) else metrics
-        self.metrics = tuple(_known_metric(model, m) for m in metrics)
+        self.metrics = tuple(known_metric(model, m) for m in metrics)
         check_distinct((m.name for m in self.metrics), "metrics")
         _check_angle(model, self.metrics)
         self.duration, self.save_every = simulation.require_duration(), simulation.save_every
         self.method = simulation.chosen
-
-    # `jax.jit(problem)` keys its cache by the function's identity.
-    def __hash__(self) -> int:
-        return id(self)
-
-    def __eq__(self, other: object) -> bool:
-        return self is other
 
     # Short: JAX asks for it whenever it transforms a problem, and all of a model takes longer than a simulation.
     def __repr__(self) -> str:
@@ -131,66 +116,16 @@ class Problem(eqx.Module):
         return f"<Problem of {links}: {names} over {self.duration:g} s by {self.method.name}{step}>"
 
     @property
-    def own_names(self) -> tuple[str, ...]:
-        """Names of the things of its model, which are no part of programs."""
-        return self.model.own_names
-
-    @property
     def reversible(self) -> bool:
         """Whether reverse mode is possible: not with steps that are chosen on the way."""
         return not self.method.adaptive and contact_tolerance_of(self.model, self.method) is None
 
     @property
-    def error_names(self) -> tuple[str, ...]:
-        """Names of all errors that it accepts, of the parameters of the description and of the numbers of the drives,
-        which may deviate, too."""
-        errors, named = self.model.topology.error_names, self._parameters
-        return (*errors, *(name for name in named if name not in errors), *self._drive_numbers)
-
-    @property
-    def _parameters(self) -> dict[str, NamedValue]:
-        return {} if self.model.source is None else parameters(self.model)
-
-    @property
-    def _drive_numbers(self) -> dict[str, Array | float]:
+    def drive_numbers(self) -> dict[str, Array | float]:
         """Numbers of the drives [their units] that no parameter has the name of."""
         known = () if self.model.source is None else self.model.source.blueprint.names
         numbers = drive_numbers(self.model, self.drive, self.design)
         return {name: number for name, number in numbers.items() if name not in known}
-
-    def error_unit(self, name: str) -> str:
-        """SI unit of an error, a parameter or a number of a drive. Raises InputError for an unknown name."""
-        check_known((name,), self.error_names, "name")
-        if name in self.model.topology.error_names:
-            return error_unit(name)
-        known = self._parameters
-        return known[name].unit if name in known else drive_number_unit(name)
-
-    def nominal_value(self, name: str) -> float:
-        """What a deviation of zero means: the value of a parameter or of a number of a drive in the design or the
-        description, 0 for an error.
-
-        Raises InputError for an unknown name.
-        """
-        check_known((name,), self.error_names, "name")
-        known = self._parameters.get(name)
-        if known is None:
-            return float(self._drive_numbers.get(name, 0.0))
-        set_to = {} if self.design is None else self.design.values
-        return float(set_to.get(known.full, known.value))
-
-    def require_closable(self, names: Iterable[str], what: str) -> None:
-        """Raise InputError for an error that opens a planar loop of rigid links across its plane; `what`: the argument
-        that names it."""
-        known = self._parameters if self.model.topology.across else {}
-        errors = self.model.topology.error_names
-        full = [name if name in errors else known[name].full for name in names if name in errors or name in known]
-        require_closable(self.model, full, what)
-
-    @property
-    def records(self) -> tuple[str, ...]:
-        """What runs record beside their loads, because a metric reads it."""
-        return _records_of(self.metrics)
 
     def describe_status(self, code: int) -> str:
         """Short name of a status code; "ok" for 0. Samples that have diverged are past the limit of their mechanism
@@ -303,7 +238,7 @@ class Problem(eqx.Module):
         """The problem with the numbers of drives that deviate, and the other errors."""
         if isinstance(errors, AssemblyErrors):
             return self, errors
-        known = self._drive_numbers if any(name.startswith("drive.") for name in errors) else {}
+        known = self.drive_numbers if any(name.startswith("drive.") for name in errors) else {}
         numbers = {}
         for name in (name for name in errors if name in known):
             change = errors[name]
@@ -326,7 +261,7 @@ def _values_and_status(problem: Problem, errors: AssemblyErrors) -> tuple[Values
 @functools.partial(Program, nameless=True)
 def _values_of_numbers(metrics, whole: Integration, errors):
     """As `_values_and_status`, of a mechanism whose numbers are those of the model."""
-    asked = require_records(whole.model, _records_of(metrics))
+    asked = require_records(whole.model, records_of(metrics))
     run = run_of_design(Designed(whole.model, errors), simulated(whole, errors, None, None, asked))
     return {m.name: jnp.asarray(m(run)) for m in metrics}, run.status
 
@@ -349,11 +284,6 @@ def _of_former_arguments(
     return Simulation(model, **given), metrics
 
 
-def _records_of(metrics: Iterable[Metric]) -> tuple[str, ...]:
-    """What runs record beside their loads, because a metric reads it."""
-    return tuple(dict.fromkeys(name for one in metrics for name in one.records))
-
-
 def _check_angle(model: Model, metrics: Iterable[Metric]) -> None:
     driven = model.topology.driven_coordinate
     slides = driven is not None and model.topology.slides[driven]
@@ -362,41 +292,6 @@ def _check_angle(model: Model, metrics: Iterable[Metric]) -> None:
             "Argument `metrics` must fit the drive, but `angle_error` is of an angle and the first drive moves "
             f"`{model.topology.drive_labels[0]}` along an axis; leave it out, or give a Metric of the displacement."
         )
-
-
-def _known_metric(model: Model, asked: str | Metric) -> Metric:
-    """The metric of a name, or the one given, if the simulator can compute it. Raises InputError."""
-    one = metric(asked) if isinstance(asked, str) else asked
-    if kind_and_owner(one.name)[0] is not None:
-        require_metric(one.name, _subjects_of(model), "model")
-    if one.function is None:
-        raise InputError(
-            f"Argument `metrics` must hold metrics with a function of a run, but {one.name!r} has no function; write "
-            f"for example Metric({one.name!r}, function=lambda run: run.motion.angle[-1])."
-        )
-    return one
-
-
-def _subjects_of(model: Model) -> MetricSubjects:
-    """What the metrics of a model can be of."""
-    topology, edges = model.topology, model.section.edges
-    with_friction = {law.joint for law in (model.friction or {}).values()}
-    driven, bearings = {topology.link_of_freedom[k] for k in topology.drives}, model.bearings or {}
-    joints = {
-        name: JointSubject(
-            topology.kind(j).nominal,
-            j in topology.cuts,
-            j in driven,
-            j in with_friction,
-            bearings[name].given if name in bearings else (),
-        )
-        for name, j in ((name, topology.joints.index(name)) for name in model.joint_names)
-    }
-    links = {name: LinkSubject(bool(edges) and edges[l] is not None) for l, name in enumerate(topology.links)}
-    points = {name: PointSubject(bool(driven)) for name in model.points or {}}
-    turns = {name: not topology.slides[one.coordinates[1]] for name, one in (model.couplings or {}).items()}
-    couplings = {name: CouplingSubject(turn) for name, turn in turns.items()}
-    return MetricSubjects(joints, links, points, couplings)
 
 
 def finer_method(method: Method, contacts: bool = True) -> Method:

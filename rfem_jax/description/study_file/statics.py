@@ -1,0 +1,108 @@
+"""What a study asks of its mechanism at rest: the table [statics].
+
+Place in the pipeline: study file -> **statics** -> Study -> `rfem-jax statics`, and the tasks, whose metrics are then
+those of the mechanism at rest.
+"""
+
+import re
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError, Problems, require_choice
+from rfem_jax.description.basics.units import quantity
+from rfem_jax.description.drives.driven_motions import motion_label
+from rfem_jax.description.mechanism.mechanism import STARTS, Mechanism
+
+MOST_POSITIONS = 100_000
+
+
+@dataclass(frozen=True)
+class Statics(ChecksItself):
+    """A mechanism at rest: what holds it, and where.
+
+    Args:
+        hold: joint or joints that are held besides those of drives and of `positions`, as "A", of a joint with several
+            free motions "C.T_y".
+        positions: {joint, or joint and motion: its position or a list of positions}, in rad, m or with units; lists
+            are of one length, a single position is for all. None: the start.
+        start: "as_given": freedoms that nothing holds are held at their start, too; "equilibrium": they settle. None =
+            as the mechanism says ("as_given").
+    Raises:
+        InputError: a value is of the wrong kind.
+    """
+
+    hold: str | tuple[str, ...] = ()
+    positions: dict[str, Any] = field(default_factory=dict)
+    start: str | None = None
+
+    def _check_fields(self, checks: Checks) -> None:
+        checks.convert("hold", _names)
+        checks.convert("positions", _table)
+        if self.start is not None:
+            checks.convert("start", require_choice, STARTS, "start")
+
+    def resolved(self, mechanism: Mechanism) -> "Statics":
+        """The same with names and positions as the mechanism has them. Raises InputError."""
+        problems = Problems()
+        hold: dict[str, None] = {}
+        positions: dict[str, tuple[float, ...]] = {}
+        for name in self.hold:
+            with problems.noted():
+                hold[_motion_of(mechanism, name, "hold")[0]] = None
+        for name, values in self.positions.items():
+            with problems.noted():
+                label, motion = _motion_of(mechanism, name, "positions")
+                dimension = "angle" if motion.startswith("R") else "length"
+                if label in positions:
+                    raise InputError(f"Argument `positions` must name `{label}` once, but does twice; leave one out.")
+                listed = values if isinstance(values, (list, tuple)) else (values,)
+                positions[label] = tuple(quantity(one, dimension, f"positions.{label}") for one in listed)
+        problems.refuse()
+        count = max(map(len, positions.values()), default=1)
+        for label, values in positions.items():
+            if not values or len(values) not in (1, count) or count > MOST_POSITIONS:
+                raise InputError(
+                    f"Argument `positions` must have lists of one length from 1 to {MOST_POSITIONS}, but `{label}` has "
+                    f"{len(values)} and another one {count}; make them alike, or give a single position for all."
+                )
+        return replace(self, hold=tuple(hold), positions=positions)
+
+    def held(self, mechanism: Mechanism) -> Mechanism:
+        """The mechanism of which this holds the coordinates, before those of its drives."""
+        drives = [
+            motion_label(joint, mechanism.joint(joint).kind, motion) for joint, motion in mechanism.driven_motions
+        ]
+        names = tuple(dict.fromkeys((*self.positions, *self.hold, *drives)))
+        start = mechanism.start if self.start is None else self.start
+        return replace(mechanism, driven_joint=names or None, start=start)
+
+
+def _names(value: object) -> tuple[str, ...]:
+    names = (value,) if isinstance(value, str) else value
+    if not isinstance(names, (list, tuple)) or any(not isinstance(name, str) for name in names):
+        raise InputError(
+            f'Argument `hold` must be a name of a joint or a list of names, but was {value!r}; write for example "A".'
+        )
+    return tuple(names)
+
+
+def _table(value: object) -> dict[str, Any]:
+    if value is None:
+        return {}
+    if not isinstance(value, dict):
+        raise InputError(
+            f"Argument `positions` must be a table of joints and their positions, but was {value!r}; write for example "
+            '{ A = ["0 deg", "30 deg"] }.'
+        )
+    return dict(value)
+
+
+def _motion_of(mechanism: Mechanism, name: str, argument: str) -> tuple[str, str]:
+    """Name of a free motion as results have it, and the motion. Raises InputError."""
+    try:
+        ((joint, motion),) = replace(mechanism, driven_joint=name).driven_motions
+    except InputError as error:
+        where = f"Argument `{argument}` of [statics]"
+        told = (re.sub("^Argument `(driven_joint|name)`", where, one) for one in error.problems)
+        raise InputError(*told) from None
+    return motion_label(joint, mechanism.joint(joint).kind, motion), motion
