@@ -67,7 +67,14 @@ def chosen_closure(
                 f"Argument `mode` of joint `{name}` must be left out unless its loop has four joints, hinges, or three "
                 "of them and a slide that no drive moves; give a rough start value of one of its joints instead."
             )
-    found = closures(model, close, good, start)
+    hinges = [(loop, modes[name]) for name, loop in loops.items() if loop is not None and loop.slide is None]
+    # One way has all these modes.
+    alone = len(hinges) == model.topology.n_cuts
+
+    def meant(closed: Closed) -> bool:
+        return alone and all(modes_of(model, loop, [closed])[0][0] == mode for loop, mode in hinges)
+
+    found = closures(model, close, good, meant, start)
     if len(found) > MOST:
         raise InputError(
             "Argument `mechanism` must say how its loops close at the start, but they do in many ways: a freedom is "
@@ -86,9 +93,13 @@ def chosen_closure(
 
 
 def closures(
-    model: Model, close: Callable[[np.ndarray], Closed], good: Callable[[Closed], bool], start: np.ndarray
+    model: Model,
+    close: Callable[[np.ndarray], Closed],
+    good: Callable[[Closed], bool],
+    enough: Callable[[Closed], bool],
+    start: np.ndarray,
 ) -> list[Closed]:
-    """Different ways to close the loops, from many starts."""
+    """Different ways to close the loops, from many starts, until one is `enough`."""
     topology, geometry = model.topology, geometry_of(model)
     fixed = {*topology.held, *topology.sprung_coordinates}
     free = [k for k in range(topology.n_freedoms) if k not in fixed]
@@ -105,6 +116,8 @@ def closures(
                 closed = closed._replace(joints=_wrapped(topology, closed.joints, free))
                 if all(_apart(geometry, closed, one) for one in found):
                     found.append(closed)
+                    if enough(closed):
+                        return found
             if len(found) > MOST:
                 return found
     return found
