@@ -5,7 +5,6 @@ Place in the pipeline: `Run.loads_in` calls it; files and labelled data ask for 
 Where the mechanism was is known of every run, so that nothing is simulated or recorded for it.
 """
 
-import dataclasses
 from functools import partial
 from typing import Any
 
@@ -52,8 +51,11 @@ def histories_in(run: Run, axes: str, preload: bool = False) -> Histories:
         positions = jax.tree.map(lambda x: jnp.asarray(x)[at], positions)
         force, moment = (jnp.expand_dims(x, batch) for x in (force, moment))
     # Laws may hold functions of the user, and have no part in where things are.
-    bare = dict.fromkeys(("forces", "frame_forces", "friction", "bearings", "points"))
-    turned = _turned(dataclasses.replace(model, **bare), errors, positions, (force, moment), axes, batch)
+    model = eqx.tree_at(
+        lambda m: (m.forces, m.frame_forces, m.friction, m.bearings, m.points), model, 5 * (None,),
+        is_leaf=lambda x: x is None,
+    )  # fmt: skip
+    turned = _turned(model, errors, positions, (force, moment), axes, batch)
     return tuple(jnp.squeeze(x, batch) for x in turned) if preload else turned  # pyright: ignore[reportReturnType]
 
 
