@@ -49,6 +49,13 @@ def forces_at_start(model: Model) -> dict[str, ForceAtStart]:
             value = np.asarray(law.value.at(START))
             value = ends[1][0][0] @ np.asarray(law.child.rotation) @ value if law.turning else value
         found[name] = ForceAtStart(value[None], value[None], second, first)
+    for name, law in (model.line_loads or {}).items():
+        # All of it, at the middle of the loaded piece.
+        rotation, origin = placed.rotation[law.link], placed.origin[law.link]
+        value = float(law.end - law.begin) * np.asarray(law.at(START)).mean(axis=1)
+        value = rotation @ value if law.turning else value
+        middle = (origin + 0.5 * float(law.begin + law.end) * rotation[:, 0])[None]
+        found[name] = ForceAtStart(value[None], np.zeros((1, 3)), middle, middle)
     return found
 
 

@@ -177,7 +177,7 @@ def told(content, path):
 
 
 def test_the_studies_are_right_before_they_are_edited(studies, tmp_path):
-    assert [told(content, tmp_path / "study.toml") for content in studies.values()] == [[]] * 4
+    assert [told(content, tmp_path / "study.toml") for content in studies.values()] == [[]] * len(studies)
 
 
 @pytest.mark.wrong_types

@@ -13,6 +13,7 @@ import pytest
 
 from rfem_jax import (
     Compliance,
+    DistributedForce,
     InputError,
     Joint,
     JointFriction,
@@ -83,6 +84,7 @@ def test_nothing_changes_where_loads_are_unique():
         replace(toggle(1.0), **UNASKED),
         unloaded(forces=[PointForce("push", "coupler", (0.1, 0.0, 0.02), force=(3.0, 0.0, -5.0))]),
         unloaded(forces=[PointMoment("turn", "coupler", (0.1, 0.0, 0.02), moment=(0.0, 2.0, 0.0))]),
+        unloaded(forces=[DistributedForce("wind", "coupler", load=(3.0, 0.0, 0.0), end_load=(0.0, 0.0, 40.0))]),
         # The whole mechanism stands beside the origin, and its plane is turned.
         unloaded(joints=[replace(one, position=(x, 0.2, 0.0)) if one.parent == "base" else one
                          for one, x in zip(loop().joints, (0.0, 0.0, 0.0, 0.3), strict=True)]),
@@ -106,6 +108,7 @@ def test_what_is_symmetric_to_its_plane_loads_nothing_across_it(mechanism):
         unloaded(gravity=(0.0, 1.0, -9.0)),
         unloaded(forces=[PointForce("push", "coupler", (0.1, 0.05, 0.02), force=(3.0, 0.0, -5.0))]),
         unloaded(forces=[PointMoment("turn", "coupler", (0.1, 0.0, 0.02), moment=(1.0, 2.0, 0.0))]),
+        unloaded(forces=[DistributedForce("wind", "coupler", load=(3.0, 0.0, 0.0), end_load=(0.0, 2.0, 40.0))]),
         unloaded(forces=[PointForce("push", "coupler", 0.1, force=[(0, 0, 1), (0, 0, 2)], times=[0.0, 1.0])]),
         # Joints of the coupler beside those of the base, each loop closed by the same distance.
         unloaded(joints=[

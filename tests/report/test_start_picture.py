@@ -51,6 +51,10 @@ name = "load"
 link = "coupler"
 position = "150 mm"
 force = [0, -20, 0]
+[[mechanism.forces]]
+name = "snow"
+link = "rocker"
+load = [0, -10, 0]
 [drive]
 joint = "A"
 kind = "prescribed_rate"
@@ -91,7 +95,7 @@ def test_the_start_is_drawn_as_it_is_closed(file):
     np.testing.assert_allclose([np.hypot(*(end - crank)[:2]), np.hypot(end[0] - 0.3, end[1])], (0.3, 0.25), rtol=1e-9)
     assert end[1] > crank[1] and end[2] == 0.0
     words = [text.get_text().strip() for text in axes.texts]
-    assert words.count("load") == 1 and {"A", "B", "C", "D"} <= set(words)
+    assert words.count("load") == words.count("snow") == 1 and {"A", "B", "C", "D"} <= set(words)
 
 
 def test_check_draws_it_and_says_how_loops_are_closed(file, tmp_path, capsys):

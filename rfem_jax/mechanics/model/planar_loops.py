@@ -17,6 +17,7 @@ from jax.core import Tracer
 from jaxtyping import Float
 
 from rfem_jax.description.basics.errors import InputError
+from rfem_jax.mechanics.laws.line_loads import LineLoad
 from rfem_jax.mechanics.laws.point_laws import ConstantVector, GivenLoad
 from rfem_jax.mechanics.model.building import PartStructure, arrays_of
 from rfem_jax.mechanics.model.model import Model
@@ -133,6 +134,7 @@ def _is_symmetric(model: Model, state: _SelfStress, normal: np.ndarray) -> bool:
         and all(_link_is_symmetric(model, state, normal, l, inside) for l in range(topology.n_links))
         and all(_mass_is_symmetric(model, state, normal, m, inside) for m in range(len(topology.masses)))
         and all(_force_is_symmetric(state, normal, law, inside) for law in (model.frame_forces or {}).values())
+        and all(_line_load_is_symmetric(state, normal, law, inside) for law in (model.line_loads or {}).values())
     )
 
 
@@ -173,6 +175,17 @@ def _force_is_symmetric(state: _SelfStress, normal: np.ndarray, law, inside) -> 
     leaning = np.cross(value, normal) if law.moment else value @ normal
     fits = np.linalg.norm(leaning) <= IN_PLANE * np.linalg.norm(value)
     return bool(fits) and (law.moment or inside(points[1]))
+
+
+def _line_load_is_symmetric(state: _SelfStress, normal: np.ndarray, law: LineLoad, inside) -> bool:
+    """Whether a force along a link acts in the plane; of functions of time that is not known."""
+    rotation, origin = state.placed.rotation[law.link], state.placed.origin[law.link]
+    ends = [one for one in (law.first, law.last) if one is not None]
+    constant = [np.asarray(one.values) for one in ends if isinstance(one, ConstantVector)]
+    if len(constant) < len(ends) or not inside(*(origin + float(x) * rotation[:, 0] for x in (law.begin, law.end))):
+        return False
+    values = [rotation @ value if law.turning else value for value in constant]
+    return all(abs(value @ normal) <= IN_PLANE * np.linalg.norm(value) for value in values)
 
 
 def reactions_text(across: str, length: float) -> str:
