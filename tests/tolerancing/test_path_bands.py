@@ -29,10 +29,11 @@ from tests.mechanisms import link
 LENGTH, RATE, STEP = 0.3, 6.0, 5e-3
 
 
-def of_hand(duration=0.5):
+def of_hand(duration=0.5, plane="xz"):
     hand = Mechanism(
         [link("hand", LENGTH)], [Joint("A", "base", "hand")], driven_joint="A",
         points=[Point("tip", "hand", LENGTH), Point("middle", "hand", 0.5 * LENGTH)],
+        plane=plane,
     )  # fmt: skip
     simulation = Simulation(
         discretise(hand), drive=PrescribedRate("A", RATE), method=RungeKutta4(step=STEP), duration=duration,
@@ -94,3 +95,13 @@ def test_bands_of_no_good_sample_and_of_unknown_points(problem, result):
     assert path_bands(problem, replace(result, status=np.ones_like(result.status))) == {}
     with pytest.raises(InputError, match="no point `tp`; did you mean `tip`"):
         path_bands(problem, result, ["tp"])
+
+
+def test_parts_of_deviations_in_the_plane_of_x_and_y(result):
+    """d_y of a joint is along its hinge, which is z there; the hand turns from x to y, and across is towards its
+    hinge."""
+    (band, _) = path_bands(of_hand(10 * STEP, "xy"), result, samples=4).values()
+    longer, aside = result.errors[:4].T
+    assert_allclose(band.perfect[:, 1], LENGTH * np.sin(RATE * band.times), atol=1e-9)
+    expected = np.stack([0.0 * longer, -longer, aside], axis=1)[:, None] + np.zeros((4, len(band.times), 3))
+    assert_allclose(band.parts_of_deviations, expected, atol=1e-12)

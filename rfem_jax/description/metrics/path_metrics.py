@@ -32,7 +32,7 @@ REPORTED = (
 ROUNDING = 1e-13  # m, rad: of places and angles
 _HALVINGS, _SQUARINGS = 40, 20
 _WITH_UNIT = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?\s*[A-Za-z]+$")
-_OUT_OF_PLANE = {"xz": (0.0, 1.0, 0.0), "xy": (0.0, 0.0, 1.0)}
+OUT_OF_PLANE = {"xz": (0.0, 1.0, 0.0), "xy": (0.0, 0.0, 1.0)}
 
 Times3 = Float[Array, "times 3"]
 
@@ -226,7 +226,7 @@ def _squared_parts(run: Any, owner: str) -> tuple[Array, Array, Array]:
     deviation, speed = _deviation(run, owner), jnp.asarray(_both(run, owner)[1].velocity)
     square = jnp.sum(speed**2, axis=1, keepdims=True)
     tangent = jnp.where(square > 0.0, speed, 0.0) / jnp.sqrt(jnp.where(square > 0.0, square, 1.0))
-    normal = jnp.asarray(_OUT_OF_PLANE[_both(run, owner)[0].plane])[None]
+    normal = jnp.asarray(OUT_OF_PLANE[_both(run, owner)[0].plane])[None]
     normal = normal - tangent * jnp.sum(tangent * normal, axis=1, keepdims=True)
     length = jnp.sum(normal**2, axis=1, keepdims=True)
     normal = normal / jnp.sqrt(jnp.where(length > 0.0, length, 1.0))

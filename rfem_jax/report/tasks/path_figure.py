@@ -14,7 +14,7 @@ from rfem_jax.tolerancing.sampling.path_band import PathBand
 
 MILLI = 1e3
 SHARE = 0.12  # of the extent of the path: how large deviations are drawn
-IN_PLANE = (0, 2)  # x and z; along a path and across it
+IN_PLANE = {"xz": (0, 2), "xy": (0, 1)}
 WORDS = ("along", "across", "out of the plane")
 
 
@@ -46,14 +46,14 @@ def _draw_paths(axes: Axes, band: PathBand) -> float:
     largest = band.distances.max()
     scale = _round_down(SHARE * np.ptp(band.perfect, axis=0).max() / largest) if largest > 0.0 else 1.0
     for deviation in band.deviations:
-        x, z = (MILLI * (band.perfect + scale * deviation)[:, i] for i in IN_PLANE)
+        x, z = (MILLI * (band.perfect + scale * deviation)[:, i] for i in IN_PLANE[band.plane])
         axes.plot(x, z, color=CASE_COLOURS[2], linewidth=0.4, alpha=max(0.1, 8.0 / len(band.deviations)))
-    x, z = (MILLI * band.perfect[:, i] for i in IN_PLANE)
+    x, z = (MILLI * band.perfect[:, i] for i in IN_PLANE[band.plane])
     axes.plot(x, z, color=CASE_COLOURS[0], linewidth=1.6, label="perfect mechanism")
     axes.plot(x[:1], z[:1], "o", color=CASE_COLOURS[0], markersize=4.5)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel("x [mm]")
-    axes.set_ylabel("z [mm]")
+    axes.set_ylabel(f"{band.plane[1]} [mm]")
     axes.set_title("path, and start of the perfect one", loc="left")
     return scale
 

@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float
 
+from rfem_jax.description.metrics.path_metrics import OUT_OF_PLANE
 from rfem_jax.labelled_data import COMPONENTS, Arrays, Labelled, LabelledResult, Parts, Table
 from rfem_jax.tolerancing.layout import show_number
 
@@ -26,7 +27,7 @@ class PathBand(LabelledResult):
 
     point: its name; times (T,) [s]; perfect (T, 3) [m], velocity (T, 3) [m/s]: the path without errors;
     deviations (n, T, 3) [m]: of the good samples from it, in x, y and z; level: the fraction of samples between `low`
-    and `high`, at each time by itself.
+    and `high`, at each time by itself; plane: of the description, "xz" or "xy".
     """
 
     point: str
@@ -35,19 +36,22 @@ class PathBand(LabelledResult):
     velocity: Float[np.ndarray, "T 3"]
     deviations: Float[np.ndarray, "n T 3"]
     level: float
+    plane: str = "xz"
 
     index: ClassVar[tuple[str, ...]] = ("time_s",)
 
     @property
     def axes(self) -> Float[np.ndarray, "T 3 3"]:
-        """Unit vectors along the perfect path, across it within the plane of x and z, and out of the plane."""
+        """Unit vectors along the perfect path, across it within the plane, and out of the plane."""
         speed = np.linalg.norm(self.velocity, axis=1, keepdims=True)
         tangent = np.where(speed > 0.0, self.velocity, 0.0) / np.where(speed > 0.0, speed, 1.0)
         # Where the point rests it goes neither along nor across; x stands for along.
         tangent[~tangent.any(axis=1)] = (1.0, 0.0, 0.0)
-        normal = np.array([0.0, 1.0, 0.0]) - tangent * tangent[:, 1:2]
+        out = np.array(OUT_OF_PLANE[self.plane])
+        normal = out - tangent * (tangent @ out)[:, None]
         length = np.linalg.norm(normal, axis=1, keepdims=True)
-        normal = np.where(length > 1e-9, normal / np.where(length > 0.0, length, 1.0), (0.0, 0.0, 1.0))
+        # Of a path that goes out of the plane x is across.
+        normal = np.where(length > 1e-9, normal / np.where(length > 0.0, length, 1.0), np.cross(out, (1.0, 0.0, 0.0)))
         return np.stack([tangent, np.cross(normal, tangent), normal], axis=1)
 
     @property

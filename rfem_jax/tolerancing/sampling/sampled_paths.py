@@ -86,7 +86,9 @@ def path_bands(
         perfect, others = places[0, :, i], places[1:, :, i]
         kept = np.isfinite(others - perfect).all(axis=(1, 2))
         if kept.any():
-            bands[point] = PathBand(point, times, perfect, velocities[0, :, i], others[kept] - perfect, level)
+            bands[point] = PathBand(
+                point, times, perfect, velocities[0, :, i], others[kept] - perfect, level, problem.model.topology.plane
+            )
     return bands
 
 
