@@ -274,3 +274,15 @@ def test_front_of_two_objectives():
     assert [one.terms["f"] for one in front.values()] == sorted(one.terms["f"] for one in front.values())
     with pytest.raises(InputError, match="two different terms"):
         pareto_front(solve, ("f", "f"))
+
+
+@pytest.mark.parametrize("robust", ["nominal", "worst_case", "rss", "yield"])
+def test_an_objective_without_limits(robust):
+    """Nothing holds the tolerance back, and the dimension is where the metric is least."""
+    problem = FunctionProblem(lambda errors: {"square": 3.0 + 2.0 * (errors["a"] - 0.1) ** 2}, ("a", "b"), "square")
+    found = optimise(
+        problem, {"a": (-0.5, 1.0)}, {"b": (0.01, 2.0)}, {"square": 1.0, "cost": 0.1}, robust=robust,
+        cost=Reciprocal(1.0), key=jax.random.key(1),
+    )  # fmt: skip
+    assert found.status == "ok" and found.designs["a"] == pytest.approx(0.1, abs=1e-6)
+    assert found.tolerances["b"] == pytest.approx(2.0)

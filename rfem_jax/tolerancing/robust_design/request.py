@@ -93,11 +93,13 @@ class Request:
 
     def normalise(self, values: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n l"]:
         """Values of all metrics -> h."""
-        return np.stack([limit.normalise(values[:, limit.position]) for limit in self.limits], axis=1)
+        found = [limit.normalise(values[:, limit.position]) for limit in self.limits]
+        return np.stack(found, axis=1) if found else np.zeros((len(values), 0))
 
     def normalise_slopes(self, jacobians: Float[np.ndarray, "n m q"]) -> Float[np.ndarray, "n l q"]:
         """Derivatives of all metrics -> those of h."""
-        return np.stack([one.sign / one.scale * jacobians[:, one.position] for one in self.limits], axis=1)
+        found = [one.sign / one.scale * jacobians[:, one.position] for one in self.limits]
+        return np.stack(found, axis=1) if found else np.zeros((len(jacobians), 0, jacobians.shape[2]))
 
 
 def check_request(
