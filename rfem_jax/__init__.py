@@ -44,8 +44,8 @@ _names = {
     "report.page.run_page": "report_run",
     "simulation": (
         "EquationsOfMotion Run Simulation StaticLoads check_step choose_method cycle_run derivative_residual "
-        "equations_of_motion kinetostatic_turn largest_stable_step natural_frequencies register_method run_cases "
-        "simulate static_loads steady_cycle"
+        "equations_of_motion inverse_dynamics kinetostatic_turn largest_stable_step natural_frequencies "
+        "register_method run_cases simulate static_loads steady_cycle"
     ),
 }
 

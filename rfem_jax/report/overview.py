@@ -292,10 +292,13 @@ def _statics_text(study: Study) -> str:
     statics = study.statics
     if statics is None:
         return "At rest: `rfem-jax statics` computes its loads." if study.duration is None else ""
-    count = max(map(len, statics.positions.values()), default=1)
-    held = ", ".join(dict.fromkeys((*statics.positions, *statics.hold))) or "all that is free, as it starts"
+    motion = (*statics.positions, *statics.rates, *statics.accelerations)
+    tables = (statics.positions, statics.rates, statics.accelerations)
+    count = max((len(values) for table in tables for values in table.values()), default=1)
+    held = ", ".join(dict.fromkeys((*motion, *statics.hold))) or "all that is free, as it starts"
     places = f"{count} position{'s' * (count > 1)}"
-    return f"Statics: held {held}, at {places}; all tasks are of the mechanism at rest."
+    state = "in this motion" if statics.moves else "at rest"
+    return f"Statics: held {held}, at {places}; all tasks are of the mechanism {state}."
 
 
 def study_text(study: Study, description: Structure) -> str:

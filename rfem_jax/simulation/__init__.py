@@ -47,7 +47,7 @@ _names = {
     "solvers.catalogue": "register_method",
     "solvers.explicit": "LeapfrogSolver PeakTracking RungeKutta4Solver",
     "stability": "check_step largest_stable_step",
-    "statics": "StaticLoads static_loads",
+    "statics": "StaticLoads inverse_dynamics static_loads",
     "turn": "Turn kinetostatic_turn",
 }
 

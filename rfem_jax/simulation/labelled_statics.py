@@ -58,6 +58,16 @@ class LabelledStatics(LabelledResult):
         """Units of a held coordinate, and of what holds it."""
         return ("rad", "N m") if self.turns(label) else ("m", "N")
 
+    @property
+    def moves(self) -> bool:
+        """Whether held coordinates move."""
+        results = [values for one in self.results for of in (one.rate, one.acceleration) for values in of.values()]
+        return any(np.any(values) for values in results)
+
+    def _units_of_motion(self, label: str) -> tuple[str, str]:
+        """Units of the rate and of the acceleration of a held coordinate."""
+        return ("rad/s", "rad/s^2") if self.turns(label) else ("m/s", "m/s^2")
+
     def values_of_metrics(self, case: int) -> dict[str, tuple[float, str]]:
         """{metric: (value, unit)} of one case."""
         found = {}
@@ -83,6 +93,9 @@ class LabelledStatics(LabelledResult):
         for label in self.labels:
             of_place, of_load = self.units(label)
             put(f"position_{label}", (), lambda r, n=label: r.position[n], of_place, f"held coordinate {label}")
+            for what, unit in zip(("rate", "acceleration"), self._units_of_motion(label)):
+                if self.moves:
+                    put(f"{what}_{label}", (), lambda r, w=what, n=label: getattr(r, w)[n], unit, f"{what} of {label}")
             put(f"holding_{label}", (), lambda r, n=label: r.holding[n], of_load, f"what holds {label} from outside")
         for name in self.results[0].stress:
             put(f"stress_{name}", (), lambda r, n=name: r.stress[n], "Pa", f"largest von Mises stress in {name}")
@@ -116,6 +129,9 @@ class LabelledStatics(LabelledResult):
             for label in self.labels:
                 of_place, of_load = self.units(label)
                 row[column_name(f"{label}_position", of_place)] = float(result.position[label][i])
+                for what, unit in zip(("rate", "acceleration"), self._units_of_motion(label)):
+                    if self.moves:
+                        row[column_name(f"{label}_{what}", unit)] = float(getattr(result, what)[label][i])
                 row[column_name(f"{label}_holding", of_load)] = float(result.holding[label][i])
             for joint, load in result.loads.items():
                 for what, unit in _LOADS:
@@ -151,7 +167,7 @@ class LabelledStatics(LabelledResult):
 
     def parts(self) -> Parts:
         """Loads of all joints, what holds, stresses and places, of every case."""
-        parts: list[str | Table] = ["Loads at rest"]
+        parts: list[str | Table] = ["Loads in given motion" if self.moves else "Loads at rest"]
         for c, case in enumerate(self.cases):
             parts += ["", *self._parts_of(c, f" of case {case}" if case else "")]
         return parts
@@ -165,7 +181,8 @@ class LabelledStatics(LabelledResult):
             parts.append(f"{bad} of {len(result.status)} positions{of_case} have no equilibrium: {message}")
         parts += [f"Joint loads{of_case}", Table(*self._joint_rows(result), words=(0,))]
         if self.labels:
-            parts += ["", f"What holds the mechanism{of_case}", Table(*self._holding_rows(result), words=())]
+            what = "What drives" if self.moves else "What holds"
+            parts += ["", f"{what} the mechanism{of_case}", Table(*self._holding_rows(result), words=())]
         tables = (
             (f"Places of points{of_case}, mm", "point", {n: one.position for n, one in result.points.items()}),
             (f"Deflections{of_case}, mm", "link", {n.rpartition(".")[0]: one for n, one in result.recorded.items()
@@ -204,7 +221,10 @@ class LabelledStatics(LabelledResult):
     def _holding_rows(self, result: Any) -> tuple[Sequence[str], list[list[str]]]:
         header = ["position"] if self._at(0) else []
         for label in self.labels:
-            header += [f"{label}, {'deg' if self.turns(label) else 'm'}", f"held by, {self.units(label)[1]}"]
+            header += [
+                f"{label}, {'deg' if self.turns(label) else 'm'}",
+                f"{'driven' if self.moves else 'held'} by, {self.units(label)[1]}",
+            ]
         rows = []
         for i in range(len(result.status)):
             cells = []

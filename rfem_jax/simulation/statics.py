@@ -1,10 +1,13 @@
-"""Loads of a mechanism, or of a structure, at rest: at its start, or at given positions of what is held.
+"""Loads of a mechanism, or of a structure, at rest, at its start or at given positions of what is held; of rigid links
+also in given motion, which is inverse dynamics.
 
 Place in the pipeline: model, errors -> static equilibria -> **statics** -> report, tolerancing.
 
 Held are the coordinates of the drives and, unless the mechanism starts in equilibrium, those that stand for all other
 freedoms (theory (6.9)): what holds them is in the result. At given positions the loops of the perfect rigid mechanism
-are closed first, and the equilibrium with errors, preload and weight is sought from there (theory (6.1)).
+are closed first, and the equilibrium with errors, preload and weight is sought from there (theory (6.1)). With rates
+and accelerations of what is held those of all else follow from the closure equations, and the loads from the equations
+of motion (theory (6.11)): nothing is integrated.
 
 `StaticLoads` has the attributes of a `Run` that metrics of a mechanism at rest read, with positions in the place of
 saved times.
@@ -27,7 +30,7 @@ from rfem_jax.description.basics.errors import InputError, suggestion
 from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.description.metrics.subjects import divided
 from rfem_jax.labelled_data import DataFrame, Dataset
-from rfem_jax.mechanics.dynamics import loads
+from rfem_jax.mechanics.dynamics import dynamics, loads
 from rfem_jax.mechanics.dynamics.point_paths import PointMotion, point_motions
 from rfem_jax.mechanics.dynamics.section_loads import loads_of_sections, stress_squares
 from rfem_jax.mechanics.elements.linear_validity import linear_error, linear_range
@@ -38,14 +41,14 @@ from rfem_jax.mechanics.kinematics.cut_joints import Closure
 from rfem_jax.mechanics.kinematics.motion import Motion
 from rfem_jax.mechanics.model.discretisation import CLOSING_TOLERANCE, close_at
 from rfem_jax.mechanics.model.errors import AssemblyErrors, Errors, assembly_errors, errors_of
-from rfem_jax.mechanics.model.inputs import DriveInput
-from rfem_jax.mechanics.model.model import Coordinates, Model, State
+from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation, impose
+from rfem_jax.mechanics.model.model import Coordinates, Model, State, length_scale
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors, apply_errors
-from rfem_jax.mechanics.statics.assembly import Load, closed_at_rest, equilibrium, start_values
+from rfem_jax.mechanics.statics.assembly import Load, closed_at_rest, equilibrium, moving_equilibrium, start_values
 from rfem_jax.mechanics.statics.designs import Design, designed, status_of
 from rfem_jax.simulation.conclusion import LoadSummary, ball_angles, joint_coordinates, load_metrics
 from rfem_jax.simulation.equations import Numbers, safe_sqrt, squares
-from rfem_jax.simulation.observation import energy_at
+from rfem_jax.simulation.observation import energy_at, solved_instant
 from rfem_jax.simulation.records import (
     PerfectPath,
     asks_perfect_path,
@@ -60,10 +63,13 @@ Positions = Mapping[str, ArrayLike]
 
 class ClosedPose(eqx.Module):
     """Coordinates of the tree joints [rad, m] and angles of the cut joints [rad] of the perfect rigid mechanism, at one
-    position or, with a first axis, at several."""
+    position or, with a first axis, at several; rates and accelerations of the held coordinates in their order, None at
+    rest."""
 
     start_joints: Float[Array, "*positions numbers"]
     cut_angles: Float[Array, "*positions cuts"]
+    rates: Float[Array, "*positions held"] | None = None
+    accelerations: Float[Array, "*positions held"] | None = None
 
 
 class Still(NamedTuple):
@@ -102,7 +108,8 @@ class StaticLoads(eqx.Module):
     position [rad, m] and holding [N m, N] of every coordinate that is held, by its name ("A", "C.T_y"): holding is what
     has to act on it from outside. loads: of all joints (positions, 3), in hinge frames; metrics of them over the
     positions; angles [rad], displacements [m] of the tree joints; energy [J]; points: `PointPath` of every point;
-    recorded: by the names of `simulation.records`, "LINK.sections" and "LINK.deflection" of flexible links among them;
+    rate, acceleration of the held coordinates, zero at rest; recorded: by the names of `simulation.records`,
+    "LINK.sections" and "LINK.deflection" of flexible links among them;
     stress [Pa]: largest von Mises stress of every link whose section's edge is known; contacts: of joints with
     clearance; status: code of `STATUS` of every position.
     """
@@ -120,6 +127,8 @@ class StaticLoads(eqx.Module):
     recorded: dict[str, Any]
     checks: StaticChecks
     status: Int[Numbers, "*positions"]
+    rate: dict[str, Float[Numbers, "*positions"]]
+    acceleration: dict[str, Float[Numbers, "*positions"]]
 
     @property
     def preload(self) -> dict[str, Load]:
@@ -128,8 +137,8 @@ class StaticLoads(eqx.Module):
 
     @property
     def motion(self) -> HeldMotion:
-        """Where it is, in the form of a run's motion; held coordinates are driven ones that stand still."""
-        drives = {name: DriveHistory(x, 0.0 * x, self.holding[name]) for name, x in self.position.items()}
+        """Where it is, in the form of a run's motion; held coordinates are driven ones."""
+        drives = {name: DriveHistory(x, self.rate[name], self.holding[name]) for name, x in self.position.items()}
         return HeldMotion(drives, self.angles, self.displacements)
 
     def to_xarray(self) -> Dataset:
@@ -181,6 +190,33 @@ def static_loads(
     return static_loads_at(model, errors_of(model, errors), poses, asked, design)
 
 
+def inverse_dynamics(
+    model: Model,
+    positions: Positions | None = None,
+    rates: Positions | None = None,
+    accelerations: Positions | None = None,
+    errors: Errors | None = None,
+    *,
+    design: Design | None = None,
+    record: str | Iterable[str] = (),
+) -> StaticLoads:
+    """Loads in all joints and what has to drive a mechanism of rigid links in a given motion, at one instant or at
+    several, without integration.
+
+    **Arguments:** `positions`, `rates` [rad/s, m/s], `accelerations` [rad/s^2, m/s^2]: {name of a held coordinate, as
+    "A" or "C.T_y": value, or values (n,)}; positions that are not given are those of the start, rates and accelerations
+    zero; `errors`, `design`, `record`: as of `static_loads`.
+
+    **Returns:** `StaticLoads`, whose `holding` drives.  Differentiable as `static_loads`.
+
+    **Raises:** `InputError` as `static_loads`, and for links or joints that give way, which would swing.
+    """
+    require_float64()
+    asked = require_records(model, [record] if isinstance(record, str) else record)
+    poses = poses_at(model, positions, rates or {}, accelerations or {})
+    return static_loads_at(model, errors_of(model, errors), poses, asked, design)
+
+
 def usual_records(model: Model) -> tuple[str, ...]:
     """What is recorded of the flexible links."""
     topology = model.topology
@@ -188,10 +224,14 @@ def usual_records(model: Model) -> tuple[str, ...]:
     return tuple(f"{name}.{kind}" for name in names for kind in ("sections", "deflection"))
 
 
-def poses_at(model: Model, positions: Positions | None) -> ClosedPose | None:
-    """Closed poses at positions of held coordinates by their names; None for the start. Raises `InputError` as
-    `static_loads`."""
-    if not positions:
+def poses_at(
+    model: Model, positions: Positions | None, rates: Positions | None = None, accelerations: Positions | None = None
+) -> ClosedPose | None:
+    """Closed poses at positions of held coordinates by their names; None for the start; with `rates` or
+    `accelerations`, which may be empty, in motion. Raises `InputError` as `static_loads` and `inverse_dynamics`."""
+    moving = rates is not None or accelerations is not None
+    given = {"positions": positions or {}, "rates": rates or {}, "accelerations": accelerations or {}}
+    if not moving and not positions:
         return None
     if isinstance(model.start_joints, Tracer):
         raise InputError(
@@ -199,25 +239,59 @@ def poses_at(model: Model, positions: Positions | None) -> ClosedPose | None:
             "anything is compiled; vary its numbers as deviations among `errors`."
         )
     topology = model.topology
+    if moving:
+        _require_rigid(model)
     known = {topology.label_of(k): k for k in topology.held_at_start if not topology.freedoms[k].any_axis}
-    wanted: dict[int, np.ndarray] = {}
-    for name, values in positions.items():
+    wanted = {what: _by_coordinate(what, values, known) for what, values in given.items()}
+    count = max((len(values) for of in wanted.values() for values in of.values()), default=1)
+    for what, values in given.items():
+        for name in values:
+            here = wanted[what][known[name]]
+            if here.shape not in ((1,), (count,)) or not np.isfinite(here).all():
+                raise InputError(
+                    f"Argument `{what}` must have one finite number for each of {count} positions, or one for all, but "
+                    f"that of {name!r} is {np.asarray(values[name]).tolist()}; correct it."
+                )
+    places = {k: np.broadcast_to(values, (count,)) for k, values in wanted["positions"].items()}
+    if places:
+        poses = search_poses(model, places, topology.held_at_start)
+    else:
+        start = _start_of(model)
+        poses = jax.tree.map(lambda one: jnp.broadcast_to(one, (count, *one.shape[1:])), start)
+    if not moving:
+        return poses
+
+    def of_all(what: str) -> Float[Array, "positions held"]:
+        columns = [np.broadcast_to(wanted[what].get(k, np.zeros(1)), (count,)) for k in topology.held_at_start]
+        return jnp.asarray(np.stack(columns, axis=1))
+
+    return ClosedPose(poses.start_joints, poses.cut_angles, of_all("rates"), of_all("accelerations"))
+
+
+def _by_coordinate(what: str, given: Positions, known: Mapping[str, int]) -> dict[int, np.ndarray]:
+    """Values by the index of their coordinate. Raises `InputError` for what is not held."""
+    for name in given:
         if name not in known:
             raise InputError(
-                f"Argument `positions` must name coordinates that are held, but {name!r} is not; "
+                f"Argument `{what}` must name coordinates that are held, but {name!r} is not; "
                 f"{suggestion(name, known) if known else 'nothing is held: leave it out.'}"
             )
-        wanted[known[name]] = np.atleast_1d(np.asarray(values, float))
-    count = max(len(values) for values in wanted.values())
-    for name, values in positions.items():
-        if wanted[known[name]].shape not in ((1,), (count,)) or not np.isfinite(wanted[known[name]]).all():
-            raise InputError(
-                f"Argument `positions` must have one finite number for each of {count} positions, or one for all, but "
-                f"that of {name!r} is {np.asarray(values).tolist()}; correct it."
-            )
-    return search_poses(
-        model, {k: np.broadcast_to(values, (count,)) for k, values in wanted.items()}, topology.held_at_start
-    )
+    return {known[name]: np.atleast_1d(np.asarray(values, float)) for name, values in given.items()}
+
+
+def _require_rigid(model: Model) -> None:
+    """Raise `InputError` for a model whose motion is not known by that of what is held."""
+    topology = model.topology
+    sentence = "Argument `model` must move as its held coordinates say, but "
+    if topology.n_rfes or topology.sprung_coordinates or topology.clearances:
+        what = "links are flexible" if topology.n_rfes else "joints give way"
+        raise InputError(f"{sentence}its {what}, and would swing; make them rigid, or simulate the motion.")
+    if topology.settles:
+        raise InputError(f'{sentence}it starts in equilibrium; set start = "as_given", or give it drives.')
+    if any(topology.freedoms[k].any_axis for k in topology.held_at_start) or not topology.held_at_start:
+        raise InputError(
+            f"{sentence}has free motions that no coordinate describes, or none at all; simulate the motion."
+        )
 
 
 def search_poses(
@@ -279,7 +353,7 @@ def _start_of(model: Model) -> ClosedPose:
 
 
 class _Found(NamedTuple):
-    """What there is at one position, by index."""
+    """What there is at one position, by index; rates and accelerations of what is held."""
 
     position: Coordinates
     holding: tuple[Float[Array, ""], ...]
@@ -293,6 +367,8 @@ class _Found(NamedTuple):
     balance: Float[Array, ""]
     linear_error: Float[Array, ""]
     status: Int[Array, ""]
+    rates: Float[Array, " held"]
+    accelerations: Float[Array, " held"]
 
 
 def _at_pose(model: Model, actual: ModelWithErrors, pose: ClosedPose, asked: Sequence[str]) -> _Found:
@@ -300,7 +376,15 @@ def _at_pose(model: Model, actual: ModelWithErrors, pose: ClosedPose, asked: Seq
     model = posed(model, pose)
     values = start_values(model).joints
     held = topology.held_at_start
-    position, state, status, still = at_rest(model, actual, {k: values[k] for k in held})
+    if pose.rates is None or pose.accelerations is None:
+        zeros = jnp.zeros(len(held))
+        position, state, status, still = at_rest(model, actual, {k: values[k] for k in held})
+        rates, accelerated, whole = zeros, zeros, jax.tree.map(jnp.zeros_like, state.velocity)
+    else:
+        rates, accelerated = pose.rates, pose.accelerations
+        motions = {k: (values[k], rates[i], accelerated[i]) for i, k in enumerate(held)}
+        state, status, still, whole = in_motion(model, actual, motions)
+        position = state.position
     axial, normal, moment = squares(topology, still.loads)
     zero = jnp.zeros(())
     return _Found(
@@ -313,9 +397,11 @@ def _at_pose(model: Model, actual: ModelWithErrors, pose: ClosedPose, asked: Seq
         points=point_motions(actual, still.motion, still.angular, still.linear),
         contacts=contact_states(actual, still.motion),
         saved=_saved(model, actual, state, still, asked),
-        balance=jax.lax.stop_gradient(_balance(actual, state, still)),
+        balance=jax.lax.stop_gradient(_balance(actual, state, still, whole)),
         linear_error=linear_error(linear_range(actual, position)),
         status=status,
+        rates=rates,
+        accelerations=accelerated,
     )
 
 
@@ -341,6 +427,22 @@ def at_rest(
         joint,
     )  # fmt: skip
     return position, state, status, still
+
+
+def in_motion(
+    model: Model, actual: ModelWithErrors, motions: dict[int, tuple[Array, Array, Array]]
+) -> tuple[State, Int[Array, ""], Still, Coordinates]:
+    """State, status, what loads follow from, and accelerations of all coordinates of a mechanism of rigid links whose
+    held coordinates have these positions, rates and accelerations."""
+    held, rates = ({k: of[i] for k, of in motions.items()} for i in (0, 1))
+    state, _, status = moving_equilibrium(model, actual, held, rates)
+    drive, scale = DriveInput(motions=motions), length_scale(model)
+    state = impose(model.topology, state, drive)
+    zero = jnp.zeros(())  # the loops are closed: nothing is to be stabilised
+    result = dynamics.accelerations(actual, state, drive, Stabilisation(zero, zero, scale))
+    now = solved_instant(actual, result, drive, scale)
+    still = Still(now.motion, now.closure, now.laws, now.angular, now.linear, now.wrenches, now.frame_loads, now.loads)
+    return state, status, still, now.accelerations
 
 
 def holding_load(model: Model, still: Still, k: int) -> Float[Array, ""]:
@@ -376,12 +478,11 @@ def _saved(model: Model, actual: ModelWithErrors, state: State, still: Still, as
     return records
 
 
-def _balance(actual: ModelWithErrors, state: State, still: Still) -> Float[Array, ""]:
-    """Force and moment that the whole mechanism lacks for equilibrium, over the largest load of a joint (theory
-    (11.8))."""
-    zeros = jax.tree.map(jnp.zeros_like, state.velocity)
+def _balance(actual: ModelWithErrors, state: State, still: Still, accelerated: Coordinates) -> Float[Array, ""]:
+    """Force and moment that the whole mechanism lacks for its momentum, at rest for equilibrium, over the largest load
+    of a joint (theory (11.8))."""
     base = loads.base_wrench(actual.topology, still.wrenches)
-    force, moment = loads.momentum_residual(actual, state, zeros, base, still.frame_loads)
+    force, moment = loads.momentum_residual(actual, state, accelerated, base, still.frame_loads)
     largest_force = safe_sqrt(jnp.max(jnp.sum(still.loads.force**2, axis=0)))
     arm = jnp.max(jnp.abs(still.motion.hinges.point))
     largest_moment = safe_sqrt(jnp.max(jnp.sum(still.loads.moment**2, axis=0))) + largest_force * arm
@@ -428,11 +529,13 @@ def _named_results(
         displacements=joint_coordinates(model, joints, balls, rotation=False),
         energy=found.energy,
         stress=found.stress,
-        points={name: PointPath.of(one) for name, one in found.points.items()},
+        points={name: PointPath.of(one, topology.plane) for name, one in found.points.items()},
         contacts=found.contacts,
         recorded=finished_records(model, actual, found.saved, None, asked, perfect),
         checks=StaticChecks(jnp.max(found.balance), jnp.max(found.linear_error)),
         status=status,
+        rate={label: found.rates[:, i] for label, i in labels.items()},
+        acceleration={label: found.accelerations[:, i] for label, i in labels.items()},
     )
 
 

@@ -161,7 +161,7 @@ def asked(tmp_path, monkeypatch):
         start, end = full.index("[drive]"), full.index("[simulation]")
     study_reader.read_drives(tomllib.loads(SLIDES)["drives"])
     tables.read_table(Coupling, tomllib.loads(COUPLINGS)["mechanism"]["couplings"][0], "[[mechanism.couplings]]")
-    tables.read_table(Statics, {"hold": "A"}, "[statics]")
+    tables.read_table(Statics, {"hold": "A", "rates": {"A": 1.0}}, "[statics]")
     return found
 
 

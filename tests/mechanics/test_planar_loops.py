@@ -23,6 +23,7 @@ from rfem_jax import (
     Problem,
     RungeKutta4,
     Simulation,
+    StaticProblem,
     Tolerances,
     Uniform,
     assemble,
@@ -255,3 +256,12 @@ def test_tolerance_studies_refuse_what_the_loops_cannot_take_up():
             study()
     with pytest.raises(InputError, match="`bounds` must be of what the loops can take up, but `C.position.y`"):
         sweep(problem, {"C.position.y": (-1e-4, 1e-4)})
+
+
+def test_all_errors_of_a_sensitivity_are_those_that_close():
+    """Asked for all, a study is of the errors in the plane, and of the parameters."""
+    model = discretise(replace(loop(), **UNASKED))
+    problem = StaticProblem(model, ("A.max_force",))
+    known = problem.variable_names
+    assert {"D.d_x", "coupler.length", "D.d_z"} <= set(known) and not {"D.d_y", "D.delta_x"} & set(known)
+    assert set(known) < set(problem.error_names)

@@ -67,6 +67,7 @@ DIMENSIONS = {
     "rate": ((0, 0, -1, 1, 0), "rad/s", "60 rpm"),
     "speed": ((0, 1, -1, 0, 0), "m/s", "0.2 m/s"),
     "acceleration": ((0, 1, -2, 0, 0), "m/s^2", "9.81 m/s^2"),
+    "angular_acceleration": ((0, 0, -2, 1, 0), "rad/s^2", "100 rad/s^2"),
     "axial_stiffness": ((1, 1, -2, 0, 0), "N", "21 MN"),
     "bending_stiffness": ((1, 3, -2, 0, 0), "N m^2", "175 N m^2"),
     "line_density": ((1, -1, 0, 0, 0), "kg/m", "0.785 kg/m"),

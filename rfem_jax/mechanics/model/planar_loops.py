@@ -9,6 +9,7 @@ is symmetric to its plane, or else those of least norm (theory (5.20)). An error
 loop in which nothing gives: its loads are infinite, and it has no derivatives.
 """
 
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import jax
@@ -209,9 +210,22 @@ def model_reactions_text(model: Model | None) -> str:
     return reactions_text(model.topology.across, float(np.asarray(model.reaction_length)))
 
 
-def require_closable(model: Model, names: list[str], what: str) -> None:
+def require_closable(model: Model, names: Sequence[str], what: str) -> None:
     """Raise InputError for the first of traced numbers (errors, or full names of parameters) that opens a planar loop
     of rigid links across its plane: whatever it is, nothing can be computed, and no derivative either."""
+    for name in opening(model, names):
+        numbers = () if model.source is None else model.source.blueprint.names.all
+        shown = next((one.name for one in numbers if one.full == name), name)
+        raise InputError(
+            f"Argument `{what}` must be of what the loops can take up, but `{shown}` opens a loop of rigid links "
+            "across its plane, where nothing gives: its loads are infinite, however small it is. Make one link of "
+            "the loop flexible, or let one of its joints give (a compliance or a clearance)."
+        )
+
+
+def opening(model: Model, names: Sequence[str]) -> Iterator[str]:
+    """Those of numbers (errors, or full names of parameters) that open a planar loop of rigid links across its
+    plane."""
     if not names or not model.topology.across:
         return
     if isinstance(model.length, Tracer) or isinstance(model.start_joints, Tracer):
@@ -222,13 +236,7 @@ def require_closable(model: Model, names: list[str], what: str) -> None:
             opens = _error_opens if name in model.topology.error_names else _number_opens
             opened = opens(model, state, name)
         if opened:
-            numbers = () if model.source is None else model.source.blueprint.names.all
-            shown = next((one.name for one in numbers if one.full == name), name)
-            raise InputError(
-                f"Argument `{what}` must be of what the loops can take up, but `{shown}` opens a loop of rigid links "
-                "across its plane, where nothing gives: its loads are infinite, however small it is. Make one link of "
-                "the loop flexible, or let one of its joints give (a compliance or a clearance)."
-            )
+            yield name
 
 
 def _error_opens(model: Model, state: _SelfStress, name: str) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.metrics.catalogue import at_rest, notes_on, records_for
+from rfem_jax.description.study_file.statics import Statics
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.mechanics.model.errors import AssemblyErrors
 from rfem_jax.mechanics.model.model import Model
@@ -37,10 +38,19 @@ def compute_statics(study: Study, model: Model) -> LabelledStatics:
     """Static loads of all cases at the positions of the study's table [statics]. Raises InputError."""
     metrics = at_rest(study.metrics)
     asked = require_records(model, (*usual_records(model), *records_for(metrics)))
-    positions = None if study.statics is None else study.statics.positions
-    found = _of_cases(model, errors_of_cases(study, model), poses_at(model, positions), asked)
+    poses = poses_at(model, *positions_and_motion(study.statics))
+    found = _of_cases(model, errors_of_cases(study, model), poses, asked)
     results = tuple(jax.tree.map(lambda values, c=c: np.asarray(values)[c], found) for c in range(len(study.cases)))
     return LabelledStatics(tuple(case.name for case in study.cases), results, metrics)
+
+
+def positions_and_motion(statics: Statics | None) -> tuple[Any, Any, Any]:
+    """Positions, rates and accelerations that [statics] gives, as of `poses_at`; the last two are None at rest."""
+    if statics is None:
+        return None, None, None
+    return (
+        (statics.positions, statics.rates, statics.accelerations) if statics.moves else (statics.positions, None, None)
+    )
 
 
 @partial(Program, nameless=True)
@@ -93,6 +103,7 @@ def _content(found: LabelledStatics, c: int) -> dict[str, Any]:
         "status": status_name(result.status),
         "statuses": [STATUS[int(code)].name for code in result.status],
         "position": lists(result.position),
+        **({"rate": lists(result.rate), "acceleration": lists(result.acceleration)} if found.moves else {}),
         "holding": lists(result.holding),
         "joints": {
             name: {"force": np.asarray(load.force).tolist(), "moment": np.asarray(load.moment).tolist()}

@@ -6,6 +6,7 @@ Place in the pipeline: `load_study` (description) -> `analyses.statics_report` -
 import argparse
 import time
 from dataclasses import replace
+from typing import Any
 
 from rfem_jax.report.annotations import Study
 from rfem_jax.report.commands.command import Answer, Command, add_study_and_folder
@@ -34,6 +35,13 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
         "--positions", metavar="JOINT=X,...", action="append", default=[],
         help='positions of a joint, held there, as "A=0 deg,30 deg"; may be repeated (default: as [statics] says)',
     )  # fmt: skip
+    for name, words, example in (
+        ("rates", "rates", "A=60 rpm"), ("accelerations", "accelerations", "A=0 rad/s^2,100 rad/s^2"),
+    ):  # fmt: skip
+        parser.add_argument(
+            f"--{name}", metavar="JOINT=X,...", action="append", default=[],
+            help=f'{words} of a joint of a mechanism of rigid links, as "{example}": loads in this motion',
+        )  # fmt: skip
     parser.add_argument(
         "--hold", metavar="JOINT", action="append", default=[], help="hold a joint at its start; may be repeated"
     )
@@ -62,19 +70,21 @@ def _with_arguments(study: Study, arguments: argparse.Namespace) -> Study:
     from rfem_jax.description.basics.errors import InputError
     from rfem_jax.description.study_file.statics import Statics
 
-    if not arguments.positions and not arguments.hold:
+    given: dict[str, dict[str, Any]] = {name: {} for name in ("positions", "rates", "accelerations")}
+    if not arguments.hold and not any(getattr(arguments, name) for name in given):
         return study
-    positions = {}
-    for text in arguments.positions:
-        joint, equals, values = text.partition("=")
-        if not equals:
-            raise InputError(
-                f"Argument `--positions` must name a joint and its positions, but was {text!r}; write for example "
-                '"A=0 deg,30 deg".'
-            )
-        positions[joint.strip()] = [_number_or_text(one) for one in values.split(",")]
+    for name, of_joints in given.items():
+        for text in getattr(arguments, name):
+            joint, equals, values = text.partition("=")
+            if not equals:
+                raise InputError(
+                    f"Argument `--{name}` must name a joint and its {name}, but was {text!r}; write for example "
+                    '"A=0 deg,30 deg".'
+                )
+            of_joints[joint.strip()] = [_number_or_text(one) for one in values.split(",")]
     asked = Statics() if study.statics is None else study.statics
-    asked = replace(asked, hold=(*asked.hold, *arguments.hold), positions=positions or asked.positions)
+    chosen = {name: of_joints or getattr(asked, name) for name, of_joints in given.items()}
+    asked = replace(asked, hold=(*asked.hold, *arguments.hold), **chosen)
     return replace(study, statics=asked, tasks=type(study.tasks)())
 
 

@@ -25,5 +25,7 @@ def build_problem(
     rest; `trials` as those of `Simulation`."""
     if study.statics is not None:
         model = model_of_study(study, at_rest=True) if model is None else model
-        return StaticProblem(model, metrics, study.statics.positions)
+        statics = study.statics
+        rates, accelerations = (statics.rates, statics.accelerations) if statics.moves else (None, None)
+        return StaticProblem(model, metrics, statics.positions, rates=rates, accelerations=accelerations)
     return Problem(Simulation.of(study, model=model, trials=trials), metrics)

@@ -23,7 +23,7 @@ from rfem_jax.description.metrics.subjects import (
 from rfem_jax.description.tolerances.error_catalogue import error_unit
 from rfem_jax.mechanics.model.errors import AssemblyErrors
 from rfem_jax.mechanics.model.model import Model
-from rfem_jax.mechanics.model.planar_loops import require_closable
+from rfem_jax.mechanics.model.planar_loops import opening, require_closable
 from rfem_jax.mechanics.model.status import STATUS
 from rfem_jax.mechanics.statics.designs import Design, NamedValue, parameters
 from rfem_jax.tolerancing.checks import check_known
@@ -95,10 +95,22 @@ class MechanismProblem(eqx.Module):
     def require_closable(self, names: Iterable[str], what: str) -> None:
         """Raise InputError for an error that opens a planar loop of rigid links across its plane; `what`: the argument
         that names it."""
-        known = self._parameters if self.model.topology.across else {}
-        errors = self.model.topology.error_names
-        full = [name if name in errors else known[name].full for name in names if name in errors or name in known]
-        require_closable(self.model, full, what)
+        require_closable(self.model, [*self._full_names(names)], what)
+
+    @property
+    def variable_names(self) -> tuple[str, ...]:
+        """`error_names` without those that open a planar loop of rigid links across its plane, which have no
+        derivatives."""
+        full = self._full_names(self.error_names)
+        opened = set(opening(self.model, [*full]))
+        return tuple(name for name in self.error_names if name not in {full[one] for one in opened})
+
+    def _full_names(self, names: Iterable[str]) -> dict[str, str]:
+        """{full name: name} of errors and parameters, as `planar_loops` knows them; none without such loops."""
+        if not self.model.topology.across:
+            return {}
+        known, errors = self._parameters, self.model.topology.error_names
+        return {name if name in errors else known[name].full: name for name in names if name in errors or name in known}
 
     @property
     def records(self) -> tuple[str, ...]:

@@ -188,7 +188,8 @@ def plan_expansion(
     InputError."""
     require_float64()
     problem = problems[0]
-    names = tuple(problem.error_names if names is None else names)
+    # Without names all that have derivatives.
+    names = tuple(getattr(problem, "variable_names", problem.error_names) if names is None else names)
     check_variables(names, problem, "names")
     if not names:
         raise InputError("Argument `names` must name at least one error, but it is empty.")

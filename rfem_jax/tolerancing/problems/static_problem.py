@@ -45,6 +45,7 @@ class StaticProblem(MechanismProblem):
             (`rfem-jax keys metrics` tells which), as "A.max_force", "A.end_drive_moment", "P.deviation_z".
         positions: as of `static_loads` (None: the start).
         design: from `rfem_jax.design`.
+        rates, accelerations: as of `inverse_dynamics`, of a mechanism of rigid links (both None: at rest).
     Raises: InputError as `static_loads`, for unknown and repeated metrics, and for metrics of a motion.
     """
 
@@ -59,9 +60,11 @@ class StaticProblem(MechanismProblem):
         metrics: str | Metric | Iterable[str | Metric],
         positions: Positions | None = None,
         design: Design | None = None,
+        rates: Positions | None = None,
+        accelerations: Positions | None = None,
     ):
         require_float64()
-        self.model, self.design, self.poses = model, design, poses_at(model, positions)
+        self.model, self.design, self.poses = model, design, poses_at(model, positions, rates, accelerations)
         metrics = (metrics,) if isinstance(metrics, (str, Metric)) else metrics
         self.metrics = tuple(known_metric(model, one) for one in metrics)
         check_distinct((one.name for one in self.metrics), "metrics")

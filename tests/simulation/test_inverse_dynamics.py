@@ -1,0 +1,212 @@
+"""Inverse dynamics of rigid links: a slider-crank by virtual work, a four-bar beside its simulation, in studies and in
+tasks; what moves otherwise is refused."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from rfem_jax import (
+    InputError,
+    Joint,
+    JointSpring,
+    Link,
+    Mechanism,
+    Point,
+    PrescribedFunction,
+    Rectangle,
+    RigidBody,
+    RungeKutta4,
+    Simulation,
+    StaticProblem,
+    discretise,
+    inverse_dynamics,
+    load_study,
+    sensitivity,
+    simulate,
+    static_loads,
+)
+from rfem_jax.report import command_line
+from rfem_jax.report.command_line import main
+from tests.derivatives import check_derivatives
+from tests.mechanisms import STEEL, link
+
+CRANK, ROD, MASS, RATE, ACCELERATION = 0.05, 0.2, 0.8, 30.0, 200.0
+ANGLES = np.array([0.3, 1.2, 2.5])
+
+
+def slider_crank(mass=1e-9, **more):
+    """Its piston alone has a mass: the crank's moment follows from the piston's stroke by virtual work."""
+    nothing = RigidBody(mass, (0.0, 0.0, 0.0), (1e-3 * mass, 1e-3 * mass, 1e-3 * mass))
+    links = [
+        Link("crank", CRANK, body=nothing), Link("rod", ROD, body=nothing),
+        Link("piston", 0.04, body=RigidBody(MASS, (0.0, 0.0, 0.0), (1e-4, 1e-4, 1e-4))),
+    ]  # fmt: skip
+    joints = [
+        Joint("A", "base", "crank", angle=-0.3),
+        Joint("B", "crank", "rod", angle=0.37),
+        Joint("G", "base", "piston", kind="prismatic", displacement=0.247),
+        Joint("P", "rod", "piston", cut=True, child_position=(0.0, 0.0, 0.0)),
+    ]
+    settings = {"driven_joint": "A", "gravity": (0.0, 0.0, 0.0)} | more
+    return Mechanism(links, joints, **settings)
+
+
+def stroke(angle, crank=CRANK, rod=ROD):
+    return crank * jnp.cos(angle) + jnp.sqrt(rod**2 - (crank * jnp.sin(angle)) ** 2)
+
+
+def exact_moment(angle, rate, acceleration, crank=CRANK, rod=ROD):
+    """Moment about the crank's axis, by which virtual work equals that of the piston's inertia."""
+    slope = jax.grad(stroke)(angle, crank, rod)
+    curvature = jax.grad(jax.grad(stroke))(angle, crank, rod)
+    return MASS * (slope * acceleration + curvature * rate**2) * slope
+
+
+def test_a_slider_crank_by_virtual_work():
+    # The joint turns from z to x: angles of the figure are its negative.
+    found = inverse_dynamics(discretise(slider_crank()), {"A": -ANGLES}, {"A": -RATE}, {"A": -ACCELERATION})
+    exact = jax.vmap(exact_moment, in_axes=(0, None, None))(jnp.asarray(ANGLES), RATE, ACCELERATION)
+    assert (np.asarray(found.status) == 0).all()
+    assert_allclose(found.holding["A"], -exact, rtol=1e-6)
+    curvature = jax.vmap(jax.grad(jax.grad(stroke)))(jnp.asarray(ANGLES))
+    slope = jax.vmap(jax.grad(stroke))(jnp.asarray(ANGLES))
+    piston = MASS * (slope * ACCELERATION + curvature * RATE**2)
+    # The force in the pin along the line of the piston is all that accelerates it.
+    rod_force = np.linalg.norm(found.loads["P"].force, axis=1)
+    slant = np.arcsin(CRANK * np.sin(ANGLES) / ROD)
+    assert_allclose(rod_force, np.abs(piston) / np.cos(slant), rtol=1e-6)
+    assert_allclose(found.energy.kinetic, 0.5 * MASS * (slope * RATE) ** 2, rtol=1e-6)
+    assert float(found.checks.momentum_balance_error) < 1e-9
+    assert_allclose(found.rate["A"], -RATE)
+    assert_allclose(found.acceleration["A"], -ACCELERATION)
+
+
+def test_derivatives_by_errors_in_both_modes():
+    names = ("crank.length", "rod.length")
+
+    def moments_of(mass):
+        model = discretise(slider_crank(mass))
+
+        def moments(x):
+            errors = dict(zip(names, x))
+            return inverse_dynamics(model, {"A": -ANGLES}, {"A": -RATE}, {"A": -ACCELERATION}, errors).holding["A"]
+
+        return moments
+
+    check_derivatives(moments_of(0.05), jnp.array([1e-4, -2e-4]), 1e-6, reverse=1e-9, differences=1e-6)
+    slopes = jax.vmap(jax.grad(exact_moment, 3), in_axes=(0, *(4 * [None])))
+    exact = slopes(jnp.asarray(ANGLES), RATE, ACCELERATION, CRANK, ROD)
+    assert_allclose(jax.jacfwd(moments_of(1e-7))(jnp.zeros(2))[:, 0], -exact, rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_a_four_bar_with_springs_and_an_error_as_in_its_simulation():
+    joints = [
+        Joint("A", "base", "crank", angle=-0.4), Joint("B", "crank", "coupler", angle=-0.35),
+        Joint("D", "base", "rocker", position=(0.32, 0.0, 0.0), angle=-1.5),
+        Joint("C", "coupler", "rocker", cut=True),
+    ]  # fmt: skip
+    links = [link("crank", 0.12), link("coupler", 0.3), link("rocker", 0.25)]
+    mechanism = Mechanism(
+        links, joints, driven_joint="A", forces=[JointSpring("s", "D", stiffness=3.0, damping=0.2)],
+        points=[Point("P", "coupler", (0.12, 0.0, 0.07))],
+    )  # fmt: skip
+    model, errors = discretise(mechanism), {"coupler.length": 2e-4}
+    rate, acceleration = -9.0, -40.0
+    drive = PrescribedFunction("A", lambda t: rate * t + 0.5 * acceleration * t**2)
+    run = simulate(
+        Simulation(model, drive=drive, method=RungeKutta4(step=1e-3), duration=0.02, save_every=0.01), errors
+    )
+    found = inverse_dynamics(model, {}, {"A": rate}, {"A": acceleration}, errors)
+    for name, load in found.loads.items():
+        assert_allclose(load.force[0], run.loads[name].force[0], atol=1e-9)
+        assert_allclose(load.moment[0], run.loads[name].moment[0], atol=1e-9)
+    assert_allclose(found.holding["A"][0], run.motion.drives["A"].force[0], rtol=1e-9)
+    assert_allclose(found.points["P"].acceleration[0], run.points["P"].acceleration[0], atol=1e-9)
+
+
+def test_no_motion_is_rest():
+    model = discretise(slider_crank(mass=0.1, gravity=(3.0, 0.0, -9.81)))
+    still, moving = static_loads(model, None, {"A": -ANGLES}), inverse_dynamics(model, {"A": -ANGLES})
+    assert_allclose(moving.holding["A"], still.holding["A"], rtol=1e-9)
+    for name, load in still.loads.items():
+        assert_allclose(moving.loads[name].force, load.force, atol=1e-8)
+
+
+def test_samples_of_a_given_motion():
+    problem = StaticProblem(
+        discretise(slider_crank()), ("A.end_drive_moment",), {"A": -1.2}, rates={"A": -RATE}, accelerations={"A": -50.0}
+    )
+    found = sensitivity(problem, names=("rod.length",), order=1)
+    exact = jax.grad(exact_moment, 4)(1.2, RATE, 50.0, CRANK, ROD)
+    assert found.status == "ok" and found.gradient[0, 0] == pytest.approx(-float(exact), rel=1e-5)
+
+
+def test_what_would_swing_is_refused():
+    flexible = [Link("beam", 0.3, Rectangle(0.01, 0.01), STEEL)]
+    model = discretise(Mechanism(flexible, [Joint("A", "base", "beam")], driven_joint="A"), rfes=3)
+    with pytest.raises(InputError, match="links are flexible, and would swing"):
+        inverse_dynamics(model, {}, {"A": 1.0})
+    rigid = discretise(slider_crank())
+    with pytest.raises(InputError, match="`rates` must name coordinates that are held, but 'B' is not"):
+        inverse_dynamics(rigid, {}, {"B": 1.0})
+    with pytest.raises(InputError, match="`accelerations` must have one finite number for each of 3 positions"):
+        inverse_dynamics(rigid, {"A": -ANGLES}, {"A": 1.0}, {"A": [0.0, 1.0]})
+    with pytest.raises(InputError, match="it starts in equilibrium"):
+        inverse_dynamics(discretise(slider_crank(driven_joint=None, start="equilibrium")), {}, {"A": 1.0})
+
+
+STUDY = """
+[mechanism]
+gravity = [0, 0, 0]
+[mechanism.materials.steel]
+youngs_modulus = "210 GPa"
+poisson_ratio = 0.3
+density = 7850.0
+[mechanism.sections.bar]
+shape = "circle"
+diameter = "10 mm"
+[[mechanism.links]]
+name = "hand"
+length = 0.3
+section = "bar"
+material = "steel"
+rigid = true
+[[mechanism.joints]]
+name = "A"
+parent = "base"
+child = "hand"
+[[cases]]
+name = "perfect"
+[statics.positions]
+A = ["0 deg", "90 deg"]
+[statics.rates]
+A = "60 rpm"
+[statics.accelerations]
+A = ["0 rad/s^2", "10 rad/s^2"]
+"""
+
+
+def test_in_studies(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(command_line, "set_up_jax", lambda *_: None)
+    file = tmp_path / "study.toml"
+    file.write_text(STUDY, encoding="utf-8")
+    assert load_study(file).statics.accelerations == {"A": (0.0, 10.0)}
+    assert main(["statics", str(file), "--out", str(tmp_path / "out")]) == 0
+    assert "What drives the mechanism" in capsys.readouterr().out
+    found = json.loads((tmp_path / "out" / "statics.json").read_text(encoding="utf-8"))["cases"]["perfect"]
+    mass = 7850.0 * np.pi * 0.005**2 * 0.3
+    assert_allclose(found["rate"]["A"], 2 * [2.0 * np.pi])
+    assert_allclose(found["holding"]["A"], [0.0, 10.0 * mass * (0.3**2 / 3.0 + 0.005**2 / 4.0)], rtol=1e-9, atol=1e-12)
+    rows = np.genfromtxt(tmp_path / "out" / "statics.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+    assert_allclose(rows["A_acceleration_rad_s2"], [0.0, 10.0])
+    # The pull of the hinge is what holds the hand's centre on its circle.
+    assert_allclose(np.hypot(rows["A_force_x_N"], rows["A_force_z_N"])[0], mass * 0.15 * (2.0 * np.pi) ** 2, rtol=1e-9)
+    arguments = ["statics", str(file), "--out", str(tmp_path / "other"), "--rates", "A=0 rpm", "--accelerations", "A=0"]
+    assert main(arguments) == 0
+    assert main(["statics", str(file), "--out", str(tmp_path), "--rates", "60 rpm"]) == 2
+    assert "`--rates` must name a joint and its rates" in capsys.readouterr().err
