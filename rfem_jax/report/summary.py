@@ -121,7 +121,7 @@ def _add_axes(joints: dict[str, dict[str, Any]], run: Run, axes: str) -> None:
         row["in_axes"] = {"axes": axes, RMS_COMPONENTS: _rms_components(run, loads[name], name), **at_start}
 
 
-def _rms_components(run: Run, loads: Load, name: str) -> dict[str, list[float]]:
+def _rms_components(run: Run, loads: Any, name: str) -> dict[str, list[float]]:
     """RMS of the x, y and z of force and moment of a joint's loads; their squares add up to that of the RMS load.
 
     The mean square is that of the whole run, its shares are those of the saved times.

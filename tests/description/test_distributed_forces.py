@@ -55,7 +55,7 @@ def test_its_numbers_are_parameters():
         "w.end", *(f"w.{part}.{axis}" for part in ("load", "end_load") for axis in "xyz"), "s.factor",
     ]  # fmt: skip
     assert (known["w.end"].value, known["w.end_load.z"].value, known["w.load.z"].unit) == (0.08, 3.0, "N/m")
-    twice = model.source.blueprint.filled(2.0 * np.asarray(model.source.numbers)).forces[1]
+    twice = model.source.blueprint.filled((2.0 * np.asarray(model.source.numbers)).tolist()).forces[1]
     np.testing.assert_allclose([twice.load, twice.end_load], [[(0, 0, 2), (0, 0, 4)], [(0, 0, 6), (0, 0, 8)]])
     # A load makes no rfe an interface.
     assert model.topology.holders == () and model.frame_forces is None

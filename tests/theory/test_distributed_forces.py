@@ -25,13 +25,11 @@ from rfem_jax import (
     parameters,
 )
 from rfem_jax.kernels import kernel
-from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.dynamics.section_loads import loads_of_sections
 from rfem_jax.mechanics.model.with_errors import apply_errors
-from rfem_jax.mechanics.statics.assembly import closed_at_rest, equilibrium
 from rfem_jax.mechanics.statics.designs import designed
 from rfem_jax.simulation.simulating import Simulation, simulate
-from rfem_jax.simulation.turn import _Still
+from rfem_jax.simulation.statics import at_rest
 from tests.derivatives import check_derivatives
 from tests.mechanisms import arm, body, four_bar, link, released
 
@@ -56,12 +54,8 @@ def tip(model, position):
 def diagrams(model):
     """Places and internal loads of the only link at rest."""
     actual = apply_errors(model, assembly_errors(model))
-    position, multipliers, _ = equilibrium(model, actual, {})
-    state, still = loads.static_state(model.topology, position), jnp.zeros((3, actual.mass.shape[0]))
-    resting, wrenches = loads.moving_wrenches(actual, closed_at_rest(model, actual, state, multipliers), still, still)
-    return loads_of_sections(
-        model, actual, state, _Still(resting.motion, still, still, wrenches, resting.frame_loads), 0
-    )
+    _, state, _, still = at_rest(model, actual, {})
+    return loads_of_sections(model, actual, state, still, 0)
 
 
 class TestCantilever:

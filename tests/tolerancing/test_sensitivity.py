@@ -341,3 +341,17 @@ def test_the_residual_of_the_differentiated_equations_is_reported(problem, mode,
         np.testing.assert_allclose(found.gradient, plain.gradient, rtol=1e-12)
         if order == 2:
             np.testing.assert_allclose(found.hessian, plain.hessian, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_metric_without_a_value_has_no_derivatives(order):
+    """Its branch with a number has some, which would be those of another point."""
+    problem = FunctionProblem(
+        lambda errors: {"none": jnp.where(errors["a"] > 1.0, errors["a"], jnp.nan), "some": errors["a"] ** 2},
+        "a", ("none", "some"),
+    )  # fmt: skip
+    found = sensitivity(problem, {"a": 0.5}, order=order)
+    assert found.status == "no_value" and "no value of none:" in str(found)
+    assert np.isnan(found.gradient[0]).all() and found.gradient[1, 0] == pytest.approx(1.0)
+    if order == 2:
+        assert np.isnan(found.hessian[0]).all() and found.hessian[1, 0, 0] == pytest.approx(2.0)

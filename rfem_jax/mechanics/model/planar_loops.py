@@ -145,7 +145,7 @@ def _link_is_symmetric(model: Model, state: _SelfStress, normal: np.ndarray, lin
         return True
     rotation, origin = state.placed.rotation[link], state.placed.origin[link]
     principal = np.abs(rotation.T @ normal)[1:].max()
-    return inside(origin, origin + float(model.length[link]) * rotation[:, 0]) and principal >= 1.0 - IN_PLANE
+    return bool(inside(origin, origin + float(model.length[link]) * rotation[:, 0]) and principal >= 1.0 - IN_PLANE)
 
 
 def _mass_is_symmetric(model: Model, state: _SelfStress, normal: np.ndarray, mass: int, inside) -> bool:
@@ -158,7 +158,7 @@ def _mass_is_symmetric(model: Model, state: _SelfStress, normal: np.ndarray, mas
     axis = rotation.T @ normal
     leaning = np.linalg.norm(np.cross(tensor @ axis, axis)) <= IN_PLANE * np.linalg.norm(tensor)
     weightless = not float(model.point_mass[mass]) > 0.0
-    return (weightless or inside(point + rotation @ np.asarray(model.point_position)[:, mass])) and bool(leaning)
+    return bool((weightless or inside(point + rotation @ np.asarray(model.point_position)[:, mass])) and leaning)
 
 
 def _force_is_symmetric(state: _SelfStress, normal: np.ndarray, law, inside) -> bool:
@@ -175,7 +175,7 @@ def _force_is_symmetric(state: _SelfStress, normal: np.ndarray, law, inside) -> 
     value = rotation @ np.asarray(end.rotation) @ value if law.turning else value
     leaning = np.cross(value, normal) if law.moment else value @ normal
     fits = np.linalg.norm(leaning) <= IN_PLANE * np.linalg.norm(value)
-    return bool(fits) and (law.moment or inside(points[1]))
+    return bool(fits and (law.moment or inside(points[1])))
 
 
 def _line_load_is_symmetric(state: _SelfStress, normal: np.ndarray, law: LineLoad, inside) -> bool:
@@ -186,7 +186,7 @@ def _line_load_is_symmetric(state: _SelfStress, normal: np.ndarray, law: LineLoa
     if len(constant) < len(ends) or not inside(*(origin + float(x) * rotation[:, 0] for x in (law.begin, law.end))):
         return False
     values = [rotation @ value if law.turning else value for value in constant]
-    return all(abs(value @ normal) <= IN_PLANE * np.linalg.norm(value) for value in values)
+    return bool(all(abs(value @ normal) <= IN_PLANE * np.linalg.norm(value) for value in values))
 
 
 def reactions_text(across: str, length: float) -> str:
