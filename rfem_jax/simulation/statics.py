@@ -22,11 +22,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.core import Tracer
-from jaxtyping import ArrayLike, Float, Int
+from jaxtyping import Float, Int
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.description.basics.errors import InputError, suggestion
 from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.description.metrics.subjects import divided
 from rfem_jax.labelled_data import DataFrame, Dataset
@@ -39,7 +37,6 @@ from rfem_jax.mechanics.forces.element_loads import FrameLoads
 from rfem_jax.mechanics.forces.joint_forces import LawForces
 from rfem_jax.mechanics.kinematics.cut_joints import Closure
 from rfem_jax.mechanics.kinematics.motion import Motion
-from rfem_jax.mechanics.model.discretisation import CLOSING_TOLERANCE, close_at
 from rfem_jax.mechanics.model.errors import AssemblyErrors, Errors, assembly_errors, errors_of
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.model.model import Coordinates, Model, State, length_scale
@@ -49,6 +46,7 @@ from rfem_jax.mechanics.statics.designs import Design, designed, status_of
 from rfem_jax.simulation.conclusion import LoadSummary, ball_angles, joint_coordinates, load_metrics
 from rfem_jax.simulation.equations import Numbers, safe_sqrt, squares
 from rfem_jax.simulation.observation import energy_at, solved_instant
+from rfem_jax.simulation.poses import ClosedPose, Positions, posed, poses_at, start_pose
 from rfem_jax.simulation.records import (
     PerfectPath,
     asks_perfect_path,
@@ -57,19 +55,6 @@ from rfem_jax.simulation.records import (
     require_records,
 )
 from rfem_jax.simulation.run import DriveHistory, Energy, Loads, Metrics, PointPath
-
-Positions = Mapping[str, ArrayLike]
-
-
-class ClosedPose(eqx.Module):
-    """Coordinates of the tree joints [rad, m] and angles of the cut joints [rad] of the perfect rigid mechanism, at one
-    position or, with a first axis, at several; rates and accelerations of the held coordinates in their order, None at
-    rest."""
-
-    start_joints: Float[Array, "*positions numbers"]
-    cut_angles: Float[Array, "*positions cuts"]
-    rates: Float[Array, "*positions held"] | None = None
-    accelerations: Float[Array, "*positions held"] | None = None
 
 
 class Still(NamedTuple):
@@ -224,109 +209,6 @@ def usual_records(model: Model) -> tuple[str, ...]:
     return tuple(f"{name}.{kind}" for name in names for kind in ("sections", "deflection"))
 
 
-def poses_at(
-    model: Model, positions: Positions | None, rates: Positions | None = None, accelerations: Positions | None = None
-) -> ClosedPose | None:
-    """Closed poses at positions of held coordinates by their names; None for the start; with `rates` or
-    `accelerations`, which may be empty, in motion. Raises `InputError` as `static_loads` and `inverse_dynamics`."""
-    moving = rates is not None or accelerations is not None
-    given = {"positions": positions or {}, "rates": rates or {}, "accelerations": accelerations or {}}
-    if not moving and not positions:
-        return None
-    if isinstance(model.start_joints, Tracer):
-        raise InputError(
-            "Argument `positions` must be left out for a model of traced numbers, as its loops are closed before "
-            "anything is compiled; vary its numbers as deviations among `errors`."
-        )
-    topology = model.topology
-    if moving:
-        _require_rigid(model)
-    known = {topology.label_of(k): k for k in topology.held_at_start if not topology.freedoms[k].any_axis}
-    wanted = {what: _by_coordinate(what, values, known) for what, values in given.items()}
-    count = max((len(values) for of in wanted.values() for values in of.values()), default=1)
-    for what, values in given.items():
-        for name in values:
-            here = wanted[what][known[name]]
-            if here.shape not in ((1,), (count,)) or not np.isfinite(here).all():
-                raise InputError(
-                    f"Argument `{what}` must have one finite number for each of {count} positions, or one for all, but "
-                    f"that of {name!r} is {np.asarray(values[name]).tolist()}; correct it."
-                )
-    places = {k: np.broadcast_to(values, (count,)) for k, values in wanted["positions"].items()}
-    if places:
-        poses = search_poses(model, places, topology.held_at_start)
-    else:
-        start = _start_of(model)
-        poses = jax.tree.map(lambda one: jnp.broadcast_to(one, (count, *one.shape[1:])), start)
-    if not moving:
-        return poses
-
-    def of_all(what: str) -> Float[Array, "positions held"]:
-        columns = [np.broadcast_to(wanted[what].get(k, np.zeros(1)), (count,)) for k in topology.held_at_start]
-        return jnp.asarray(np.stack(columns, axis=1))
-
-    return ClosedPose(poses.start_joints, poses.cut_angles, of_all("rates"), of_all("accelerations"))
-
-
-def _by_coordinate(what: str, given: Positions, known: Mapping[str, int]) -> dict[int, np.ndarray]:
-    """Values by the index of their coordinate. Raises `InputError` for what is not held."""
-    for name in given:
-        if name not in known:
-            raise InputError(
-                f"Argument `{what}` must name coordinates that are held, but {name!r} is not; "
-                f"{suggestion(name, known) if known else 'nothing is held: leave it out.'}"
-            )
-    return {known[name]: np.atleast_1d(np.asarray(values, float)) for name, values in given.items()}
-
-
-def _require_rigid(model: Model) -> None:
-    """Raise `InputError` for a model whose motion is not known by that of what is held."""
-    topology = model.topology
-    sentence = "Argument `model` must move as its held coordinates say, but "
-    if topology.n_rfes or topology.sprung_coordinates or topology.clearances:
-        what = "links are flexible" if topology.n_rfes else "joints give way"
-        raise InputError(f"{sentence}its {what}, and would swing; make them rigid, or simulate the motion.")
-    if topology.settles:
-        raise InputError(f'{sentence}it starts in equilibrium; set start = "as_given", or give it drives.')
-    if any(topology.freedoms[k].any_axis for k in topology.held_at_start) or not topology.held_at_start:
-        raise InputError(
-            f"{sentence}has free motions that no coordinate describes, or none at all; simulate the motion."
-        )
-
-
-def search_poses(
-    model: Model, positions: Mapping[int, Float[np.ndarray, " positions"]], held: tuple[int, ...] | None = None
-) -> ClosedPose:
-    """Closed poses of the perfect rigid mechanism at positions [rad, m] of some coordinates, by their index; the search
-    for each pose begins at the pose before; `held`: the coordinates that stay (None: those of drives).
-
-    **Raises:** `InputError` for a position at which the mechanism does not close.
-    """
-    topology = model.topology
-    places = {topology.place_of(k): values for k, values in positions.items()}
-    names = [topology.label_of(k) for k in positions]
-    pose, closed = np.asarray(model.start_joints), []
-    for i in range(len(next(iter(places.values())))):
-        guess = np.array(pose)
-        for place, values in places.items():
-            guess[place] = values[i]
-        pose, residual, alignment, cut = close_at(model, guess, held)
-        if np.abs(residual).max(initial=0.0) > CLOSING_TOLERANCE or (alignment < 0.0).any():
-
-            def at(numbers):
-                return " and ".join(f"{x:.6g}" for x in numbers)
-
-            last = "" if not closed else f"; the last position that closes is {at(closed[-1][0][p] for p in places)}"
-            here = at(values[i] for values in places.values())
-            raise InputError(
-                f"Argument `positions` must be ones at which the mechanism closes, but at {here} (rad or m) of "
-                f"joint `{'` and `'.join(names)}` it does not{last}; give a smaller range."
-            )
-        closed.append((pose, cut))
-    joints, cuts = (np.stack(part) for part in zip(*closed, strict=True))
-    return ClosedPose(jnp.asarray(joints), jnp.asarray(cuts))
-
-
 @partial(Program, nameless=True)
 def static_loads_at(
     model: Model,
@@ -341,15 +223,11 @@ def static_loads_at(
         # Errors of places are from where the perfect mechanism of the same design is.
         perfect = designed(model, design, assembly_errors(model)).model
     made = designed(model, design, errors)
-    poses = _start_of(made.model) if poses is None else poses
+    poses = start_pose(made.model) if poses is None else poses
     actual = apply_errors(made.model, made.errors)
     found = jax.lax.map(lambda pose: _at_pose(made.model, actual, pose, asked), poses)
     paths = {} if perfect is None else _perfect_paths(perfect, poses, asked)
     return _named_results(made.model, actual, found, asked, paths, status_of(found.status, made))
-
-
-def _start_of(model: Model) -> ClosedPose:
-    return ClosedPose(model.start_joints[None], model.cut_angles[None])
 
 
 class _Found(NamedTuple):
@@ -403,11 +281,6 @@ def _at_pose(model: Model, actual: ModelWithErrors, pose: ClosedPose, asked: Seq
         rates=rates,
         accelerations=accelerated,
     )
-
-
-def posed(model: Model, pose: ClosedPose) -> Model:
-    """The model with its start at a closed pose."""
-    return eqx.tree_at(lambda m: (m.start_joints, m.cut_angles), model, (pose.start_joints, pose.cut_angles))
 
 
 def at_rest(

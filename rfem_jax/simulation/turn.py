@@ -27,7 +27,8 @@ from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics.assembly import Load, held_angles, named
 from rfem_jax.mechanics.statics.designs import designed, status_of
-from rfem_jax.simulation.statics import ClosedPose, at_rest, holding_load, largest_stresses, posed, search_poses
+from rfem_jax.simulation.poses import ClosedPose, posed, search_poses
+from rfem_jax.simulation.statics import at_rest, holding_load, largest_stresses
 
 POSITIONS = 72  # over a revolution, unless given
 

@@ -85,6 +85,7 @@ def test_units_follow_the_two_coordinates():
         ({"joints": ("A", "S")}, ("`motion` of coupling `k`", "spherical", "not offered")),
         ({"ratio": "0.5 mm"}, ("`ratio` of coupling `k`", "a length per angle (m/rad)", "a length")),
         ({"joints": ("A", "C"), "motions": ("R_y", "R_y"), "ratio": "5 mm/rev"}, ("`ratio`", "a plain number")),
+        ({"ratio": 0.0}, ("`ratio` of coupling `k`", "follows nothing")),
         ({"stiffness": 0.0}, ("`stiffness` of coupling `k`", "greater than 0")),
         ({"stiffness": "2 N m/rad"}, ("`stiffness` of coupling `k`", "a stiffness")),
         ({"joints": ("P", "A"), "eccentricity": 0.1}, ("`eccentricity` of coupling `k`", "T_x of `P`")),

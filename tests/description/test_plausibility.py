@@ -32,6 +32,16 @@ def test_a_point_of_300_metres(tmp_path):
     assert "`T` is 300 m from the origin" in sentence and "1.5e+03 times the longest" in sentence
 
 
+def test_a_link_that_is_1000_kelvin_warmer(tmp_path):
+    """Of its material alone: an expansion is given, and then a temperature as it is read above absolute zero."""
+    expanding = "density = 7850.0", "density = 7850.0\nthermal_expansion = 12e-6"
+    case = '[[cases]]\nname = "perfect"'
+    warm = f'[[cases]]\nname = "warm"\nerrors = {{ "rod.temperature" = 313 }}\n\n{case}'
+    assert of_text(tmp_path, expanding, (case, warm)) == []
+    (sentence,) = of_text(tmp_path, expanding, (case, warm.replace("313", "1000")))
+    assert "`rod.temperature` of case `warm` is 1000 K, much for steel" in sentence
+
+
 def test_a_link_of_200_metres(tmp_path):
     (sentence,) = of_text(tmp_path, ('length = "200 mm"', "length = 200"))
     assert sentence.startswith("Link `rod` is 200 m long, 5e+03 times the shortest") and '"200 mm"' in sentence

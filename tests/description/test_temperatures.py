@@ -10,6 +10,7 @@ from rfem_jax import (
     Mechanism,
     Rectangle,
     RigidBody,
+    assembly_errors,
     design,
     discretise,
     load_study,
@@ -98,6 +99,8 @@ def test_what_does_not_grow_has_no_temperature(refused, tmp_path):
     model = discretise(Mechanism([Link("a", 0.1, BAR, STEEL)], [Joint("A", "base", "a")]))
     with refused("`a.temperature`", "`thermal_expansion`"):
         design(model, {"a.temperature": 3.0})
+    with refused("`a.temperature`", "`thermal_expansion`"):
+        assembly_errors(model, {"a.temperature": 3.0})
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 from rfem_jax import (
     InputError,
     Joint,
+    JointFriction,
     JointSpring,
     Link,
     Mechanism,
@@ -156,8 +157,40 @@ def test_what_would_swing_is_refused():
         inverse_dynamics(rigid, {}, {"B": 1.0})
     with pytest.raises(InputError, match="`accelerations` must have one finite number for each of 3 positions"):
         inverse_dynamics(rigid, {"A": -ANGLES}, {"A": 1.0}, {"A": [0.0, 1.0]})
+    with pytest.raises(InputError, match="no friction that depends on loads"):
+        rubbing = JointFriction("pin", "A", coefficient=0.3, radius=0.02, sliding_rate=0.1)
+        inverse_dynamics(discretise(slider_crank(forces=[rubbing])), {}, {"A": 1.0})
+    with pytest.raises(InputError, match="`rates` must be a rate .*, but was '1 m/s'"):
+        inverse_dynamics(rigid, {}, {"A": "1 m/s"})
+    with pytest.raises(InputError, match="`rates` must hold known numbers"):
+        jax.grad(lambda rate: inverse_dynamics(rigid, {}, {"A": rate}).holding["A"][0])(1.0)
     with pytest.raises(InputError, match="it starts in equilibrium"):
         inverse_dynamics(discretise(slider_crank(driven_joint=None, start="equilibrium")), {}, {"A": 1.0})
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_a_dead_centre_is_refused_where_the_slide_is_held(moving):
+    """There the crank may go on either way, and whatever holds the slide is infinite; beside it loads are large."""
+    model = discretise(slider_crank(mass=0.1, driven_joint="G", gravity=(0.0, 0.0, -9.81)))
+
+    def at(place):
+        return inverse_dynamics(model, {"G": place}, {"G": 1.0}) if moving else static_loads(model, None, {"G": place})
+
+    for place in (CRANK + ROD, ROD - CRANK):
+        with pytest.raises(InputError, match=f"decides how the mechanism stands, but at G = {place:g}.*dead centre"):
+            at([0.247, place])
+    assert (np.asarray(at([0.247, 0.2499]).status) == 0).all()
+    # The crank's dead centres are none where the crank is held.
+    held = discretise(slider_crank(mass=0.1))
+    assert (np.asarray(inverse_dynamics(held, {"A": [0.0, -np.pi]}, {"A": RATE}).status) == 0).all()
+
+
+def test_positions_and_rates_with_units():
+    model = discretise(slider_crank())
+    found = inverse_dynamics(model, {"A": ["-20 deg", -1.0]}, {"A": "60 rpm"}, {"A": ("1 rad/s^2", 2.0)})
+    assert_allclose(found.position["A"], [np.radians(-20.0), -1.0])
+    assert_allclose(found.rate["A"], 2.0 * np.pi)
+    assert_allclose(found.acceleration["A"], [1.0, 2.0])
 
 
 STUDY = """

@@ -152,6 +152,11 @@ class Coupling(ChecksItself, Force):
         for name, field in named.numbers_between.items():
             if (value := getattr(self, name)) is not None:
                 found[name] = read_number(value, field, f"`{name}` of {of}")
+        if found.get("ratio") == 0.0:
+            raise InputError(
+                f"Argument `ratio` of {of} must not be 0, with which the second coordinate follows nothing, but was "
+                f"{self.ratio}; give dq_b / dq_a, negative where they turn against each other."
+            )
         if not named.turns[0] and self.eccentricity != 0.0:
             raise InputError(
                 f"Argument `eccentricity` of {of} must be left out unless the first of its coordinates is a rotation, "

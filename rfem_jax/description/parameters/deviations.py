@@ -32,7 +32,11 @@ def require_deviation(mechanism: Mechanism, name: str, where: str = "name") -> N
     if name not in known:
         raise InputError(
             f"{subject(where)} must be an error or a parameter of this mechanism, but `{name}` is neither; "
-            f"{mechanism.about_missing(name) or suggestion(name, (*mechanism.error_names, *known, *_of_drives()))}"
+            + (
+                mechanism.about_missing(name)
+                or known.about(name)
+                or suggestion(name, (*mechanism.error_names, *known, *_of_drives()))
+            )
         )
 
 

@@ -103,7 +103,7 @@ class ParameterNames(Mapping[str, Parameter]):
         """The parameter of a name; raises InputError with the nearest one, or for a name of several things."""
         if name in self._known:
             return self._known[name]
-        owner, _, component = str(name).partition(".")
+        owner = str(name).partition(".")[0]
         kinds = dict(self.ambiguous).get(owner, ())
         full = [f"{kind}.{name}" for kind in kinds if f"{kind}.{name}" in self._known]
         if full:
@@ -111,13 +111,17 @@ class ParameterNames(Mapping[str, Parameter]):
                 f"{subject(where)} must tell apart the things that are called `{owner}` ({' and '.join(kinds)}), but "
                 f"has `{name}`; write `{'` or `'.join(full)}`."
             )
-        if component in _FOLLOWING and any(known.startswith(f"{owner}.") for known in self._known):
-            raise InputError(
-                f"{subject(where)} must name numbers that are given, but `{name}` {_FOLLOWING[component]}."
-            )
+        if about := self.about(name):
+            raise InputError(f"{subject(where)} must name numbers that are given, but {about}")
         raise InputError(
             f"{subject(where)} must name parameters, but `{name}` is not a parameter; {suggestion(name, self._known)}"
         )
+
+    def about(self, name: str) -> str:
+        """Why a number of a thing that there is has no name of its own, and what to do; "" where nothing is known."""
+        owner, _, component = str(name).partition(".")
+        known = component in _FOLLOWING and any(one.startswith(f"{owner}.") for one in self._known)
+        return f"`{name}` {_FOLLOWING[component]}." if known else ""
 
 
 _AT_THE_END = "is left out and lies at the link's end; set the link's length, or give the position in the description"

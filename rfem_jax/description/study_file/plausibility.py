@@ -12,6 +12,7 @@ from rfem_jax.description.study_file.study import Study
 LARGEST_TILT = math.radians(5.0)
 LARGEST_SHIFT = 0.1  # of the longest link
 FARTHEST_POINT = 20.0  # over the longest link
+LARGEST_WARMTH = 500.0  # K
 MOST_UNEQUAL = 100.0  # length of a link over that of the shortest
 
 
@@ -40,6 +41,11 @@ def doubtful_numbers(study: Study) -> list[str]:
                 f"`{name}` {place} is {math.degrees(size):.3g} deg, much for an error; a number without a unit is in "
                 f'radians: write "{value:.6g} deg" if degrees are meant.'
             )
+        if unit == "K" and size > LARGEST_WARMTH:
+            sentences.append(
+                f"`{name}` {place} is {size:.4g} K, much for steel or aluminium; it is the difference to the "
+                "temperature of assembly, not that above absolute zero."
+            )
         if unit == "m" and size > LARGEST_SHIFT * longest:
             sentences.append(
                 f"`{name}` {place} is {size:.3g} m, much beside the longest link ({longest:.3g} m); a number without a "
@@ -55,5 +61,5 @@ def _errors(study: Study) -> Iterator[tuple[str, float, str]]:
     places["in `[tolerances]`"] = {} if tolerances is None else tolerances.half_widths()
     for place, values in places.items():
         for name in values:
-            if name in known:
+            if name in known or name.endswith(".temperature"):
                 yield name, float(values[name]), place

@@ -15,7 +15,7 @@ from rfem_jax.description.mechanism.mechanism import STARTS, Mechanism
 
 MOST_POSITIONS = 100_000
 _EXAMPLES = {"positions": '["0 deg", "30 deg"]', "rates": '"60 rpm"', "accelerations": '"100 rad/s^2"'}
-_DIMENSIONS = {  # of what moves along an axis, and about one
+DIMENSIONS_OF = {  # of what moves along an axis, and about one
     "positions": ("length", "angle"),
     "rates": ("speed", "rate"),
     "accelerations": ("acceleration", "angular_acceleration"),
@@ -81,7 +81,7 @@ class Statics(ChecksItself):
                 if label in found:
                     raise InputError(f"Argument `{what}` must name `{label}` once, but does twice; leave one out.")
                 listed = values if isinstance(values, (list, tuple)) else (values,)
-                dimension = _DIMENSIONS[what][motion.startswith("R")]
+                dimension = DIMENSIONS_OF[what][motion.startswith("R")]
                 found[label] = tuple(quantity(one, dimension, f"{what}.{label}") for one in listed)
         return found
 

@@ -84,7 +84,7 @@ def assembly_errors(model: Model, values: Mapping[str, ArrayLike | str] | None =
             number = quantity(value, parameter.dimension, f"error {name!r}") if isinstance(value, str) else value
             deviations[parameter.full] = jnp.asarray(number, jnp.float64)
             continue
-        part, place = _locate(topology, name)
+        part, place = _locate(topology, name, "" if model.source is None else model.source.blueprint.names.about(name))
         if isinstance(value, str):
             value = quantity(value, error_dimension(name), f"error {name!r}")
         if isinstance(value, Tracer):
@@ -184,12 +184,13 @@ def _insert(
     return AssemblyErrors(**arrays)
 
 
-def _locate(topology: Topology, name: str) -> tuple[str, int | tuple[int, int]]:
-    """Field of `AssemblyErrors` and place in it of a named error."""
+def _locate(topology: Topology, name: str, about: str) -> tuple[str, int | tuple[int, int]]:
+    """Field of `AssemblyErrors` and place in it of a named error; `about`: what is known of a number that has no
+    name."""
     if name not in topology.error_names:
         raise InputError(
             f"Argument `errors` must name errors of the model, but {name!r} is not one; "
-            f"{suggestion(name, topology.error_names)}"
+            f"{about or suggestion(name, topology.error_names)}"
         )
     owner, *middle, kind = name.split(".")
     if kind in ("length", "twist"):

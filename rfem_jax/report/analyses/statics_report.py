@@ -24,14 +24,9 @@ from rfem_jax.report.output import write_csv, write_json
 from rfem_jax.report.summary import reaction_norm, study_note
 from rfem_jax.report.tables import title_text
 from rfem_jax.simulation.labelled_statics import LabelledStatics, status_name
+from rfem_jax.simulation.poses import ClosedPose, poses_at
 from rfem_jax.simulation.records import require_records
-from rfem_jax.simulation.statics import (
-    ClosedPose,
-    StaticLoads,
-    poses_at,
-    static_loads_at,
-    usual_records,
-)
+from rfem_jax.simulation.statics import StaticLoads, static_loads_at, usual_records
 
 
 def compute_statics(study: Study, model: Model) -> LabelledStatics:

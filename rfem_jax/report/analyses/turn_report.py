@@ -26,8 +26,9 @@ from rfem_jax.report.pictures import drawn, write_pictures
 from rfem_jax.report.style import add_titles, line_style, new_figure
 from rfem_jax.report.summary import in_legend, joint_names, marked
 from rfem_jax.report.tables import format_table, title_text
+from rfem_jax.simulation.poses import ClosedPose
 from rfem_jax.simulation.remarks import linear_remark
-from rfem_jax.simulation.turn import ClosedPose, Turn, closed_poses, turn_over
+from rfem_jax.simulation.turn import Turn, closed_poses, turn_over
 from rfem_jax.text_layout import wrap_lines
 
 
