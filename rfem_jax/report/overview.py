@@ -27,6 +27,7 @@ from rfem_jax.description.parameters.parts import parts_of
 from rfem_jax.description.study_file.study import Case, Study
 from rfem_jax.description.tolerances.error_catalogue import as_specified
 from rfem_jax.mechanics.model.assembly_modes import loop_modes, start_values_text
+from rfem_jax.mechanics.model.planar_loops import opening
 from rfem_jax.report.annotations import Model, StartHeld, Structure
 from rfem_jax.report.tables import format_table, title_text
 from rfem_jax.text_layout import wrap_lines
@@ -274,6 +275,30 @@ def closed_text(model: Model) -> str:
     values = start_values_text(topology, np.asarray(model.start_joints))
     modes = [f"{name} {mode}" for name, mode in loop_modes(model).items()]
     return wrap_lines(f"Loops are closed with {values}" + (f" ({', '.join(modes)})." if modes else "."))
+
+
+def opening_text(study: Study, model: Model) -> str:
+    """Which errors of cases and tolerances open planar loops of rigid links across their plane; nothing where none
+    does."""
+    topology = getattr(model, "topology", None)
+    if topology is None or not topology.across:
+        return ""
+    parameters = {} if model.source is None else model.source.blueprint.names
+    tolerances = {} if study.tolerances is None else study.tolerances.half_widths()
+    places = {f"case {case.name}": case.errors for case in study.cases} | {"[tolerances]": tolerances}
+    lines = []
+    for place, values in places.items():
+        changed = [name for name, value in values.items() if value != 0.0]
+        full = {name: name for name in changed if name in topology.error_names}
+        full |= {parameters[name].full: name for name in changed if name not in full and name in parameters}
+        if opened := [f"`{full[one]}`" for one in opening(model, [*full])]:
+            lines.append(f"{', '.join(opened)} of {place}")
+    if not lines:
+        return ""
+    return wrap_lines(
+        f"Across the plane of the rigid loops nothing gives: {'; '.join(lines)} cannot be assembled. Make one link of "
+        "the loop flexible, or let one of its joints give (a compliance or a clearance)."
+    )
 
 
 def _simulation_lines(study: Study, description: Structure) -> list[str]:

@@ -114,3 +114,14 @@ def test_another_file_is_refused_before_anything_is_read(tmp_path):
     occupied.touch()
     with pytest.raises(InputError, match="must be a folder that can be written"):
         asked(tmp_path / "none.toml", "--picture", str(occupied / "start.png"))
+
+
+def test_check_says_which_errors_cannot_be_assembled(tmp_path, capsys):
+    """Those across the plane of rigid links, by cases and tolerances; others are not told."""
+    case = '[[cases]]\nname = "askew"\nerrors = { "D.delta_x" = "0.5 deg", "rocker.length" = "1 mm" }\n'
+    file = tmp_path / "figure.toml"
+    tolerances = '[tolerances]\n"C.d_y" = "1 mm"\n"D.d_x" = "1 mm"\n'
+    file.write_text(f"{STUDY}{case}{tolerances}", encoding="utf-8")
+    asked(file)
+    told = " ".join(capsys.readouterr().out.split())
+    assert "nothing gives: `D.delta_x` of case askew; `C.d_y` of [tolerances] cannot be assembled." in told

@@ -51,7 +51,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     study = read_study(arguments.study)
 
     from rfem_jax.mechanics import describe
-    from rfem_jax.report.overview import closed_text, design_text, study_text
+    from rfem_jax.report.overview import closed_text, design_text, opening_text, study_text
     from rfem_jax.report.study_cost import cost_text, times_text
     from rfem_jax.report.tasks.task_overview import tasks_text
     from rfem_jax.simulation import check_step, drive_limit
@@ -60,6 +60,8 @@ def act(arguments: argparse.Namespace) -> Answer:
     structure = describe(model)
     show(study_text(study, structure), end="\n\n")
     if text := closed_text(model):
+        show(text, end="\n\n")
+    if text := opening_text(study, model):
         show(text, end="\n\n")
     if picture is not None:
         _draw_start(study, model, picture)
@@ -81,6 +83,7 @@ def act(arguments: argparse.Namespace) -> Answer:
         announce("Looking for the largest stable step")
         step = check_step(model, study.method, study.drive)
         found = "any, chosen by the method, or not known" if step is None else f"{float(step):.3g} s"
+        found = found if step is None or float(step) < study.duration else "longer than the simulation"
         show(f"Largest stable step of {study.method.name}: {found}.")
     if text := times_text(study):
         show(text)
