@@ -220,3 +220,11 @@ def runs():
 @pytest.fixture
 def statuses():
     return all_complete()
+
+
+@pytest.fixture(scope="module")
+def commands_here():
+    """Commands run in this process and leave JAX as it is, whose devices other tests have found."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(command_line, "set_up_jax", lambda *_: None)
+        yield

@@ -8,9 +8,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from rfem_jax import InputError, load_study
-from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
 from rfem_jax.simulation.cases import run_cases
+
+pytestmark = pytest.mark.usefixtures("commands_here")
 
 RADIUS, STIFFNESS, RATE, MASS = 0.02, 1e5, 40.0, 0.3
 STUDY = f"""
@@ -73,14 +74,6 @@ errors = {{ "mesh.eccentricity" = "0.1 mm" }}
 [sensitivity]
 metrics = ["G.end_displacement", "mesh.max_mesh_force", "*.peak_mesh_force"]
 """
-
-
-@pytest.fixture(scope="module", autouse=True)
-def devices_of_the_tests():
-    """Commands leave JAX as it is: other tests in this process have found its devices."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(command_line, "set_up_jax", lambda *_: None)
-        yield
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,10 @@ from numpy.testing import assert_allclose
 
 from rfem_jax import InputError, load_study
 from rfem_jax.description.metrics.path_metrics import REPORTED
-from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
 from rfem_jax.simulation.cases import run_cases
+
+pytestmark = pytest.mark.usefixtures("commands_here")
 
 LENGTH, ERROR, RATE = 0.3, 1e-3, 6.0
 STUDY = f"""
@@ -60,14 +61,6 @@ name = "perfect"
 name = "long"
 errors = {{ "hand.length" = {ERROR} }}
 """
-
-
-@pytest.fixture(scope="module", autouse=True)
-def devices_of_the_tests():
-    """Commands leave JAX as it is: other tests in this process have found its devices."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(command_line, "set_up_jax", lambda *_: None)
-        yield
 
 
 @pytest.fixture(scope="module")

@@ -8,11 +8,12 @@ from numpy.testing import assert_allclose
 
 from rfem_jax import InputError, load_study
 from rfem_jax.description.metrics.shaking_metrics import REPORTED
-from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
 from rfem_jax.report.page.histories import pack_histories, read_table
 from rfem_jax.simulation.cases import run_cases
 from tests.report.test_paths import LENGTH, RATE, STUDY
+
+pytestmark = pytest.mark.usefixtures("commands_here")
 
 POINT = 0.2
 TABLE = "[mechanism.materials.steel]"
@@ -24,9 +25,7 @@ SHAKEN = SHAKEN.replace('[[mechanism.points]]\nname = "tip"\nlink = "hand"\nposi
 def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("shaking") / "study.toml"
     path.write_text(SHAKEN, encoding="utf-8")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(command_line, "set_up_jax", lambda *_: None)
-        assert main(["run", str(path), "--out", str(path.parent / "out"), "--axes", "global"]) == 0
+    assert main(["run", str(path), "--out", str(path.parent / "out"), "--axes", "global"]) == 0
     return path.parent / "out"
 
 
@@ -67,10 +66,8 @@ def test_axes_add_columns_and_components(folder):
 
 def test_cycles_and_turns_have_them_too(folder):
     study, cycle, turn = folder.parent / "study.toml", folder.parent / "cycle", folder.parent / "turn"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(command_line, "set_up_jax", lambda *_: None)
-        assert main(["cycle", str(study), "--out", str(cycle), "--axes", "child"]) == 0
-        assert main(["turn", str(study), "--out", str(turn), "--axes", "child", "--positions", "4"]) == 0
+    assert main(["cycle", str(study), "--out", str(cycle), "--axes", "child"]) == 0
+    assert main(["turn", str(study), "--out", str(turn), "--axes", "child", "--positions", "4"]) == 0
     table = np.genfromtxt(cycle / "perfect.csv", delimiter=",", names=True)
     assert_allclose(table["A_force_child_x_N"], -pull(LENGTH), rtol=1e-8)
     rows = np.genfromtxt(turn / "turn.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")

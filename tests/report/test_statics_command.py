@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from rfem_jax import InputError, load_study
-from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
 
 from .page_folder import content_of
@@ -16,10 +16,7 @@ from .page_folder import content_of
 TOGGLE = Path(__file__).parents[2] / "studies" / "toggle" / "study.toml"
 
 
-@pytest.fixture(autouse=True)
-def _settled(monkeypatch):
-    """JAX is set up already."""
-    monkeypatch.setattr(command_line, "set_up_jax", lambda *_: None)
+pytestmark = pytest.mark.usefixtures("commands_here")
 
 
 def changed(tmp_path, *changes):
@@ -115,3 +112,54 @@ def test_what_is_wrong_in_the_table_is_said(tmp_path):
         with pytest.raises(InputError) as told:
             load_study(changed(tmp_path, change))
         assert all(word in str(told.value) for word in words), str(told.value)
+
+
+HAND = """
+[mechanism]
+gravity = [0, 0, 0]
+[mechanism.materials.steel]
+youngs_modulus = "210 GPa"
+poisson_ratio = 0.3
+density = 7850.0
+[mechanism.sections.bar]
+shape = "circle"
+diameter = "10 mm"
+[[mechanism.links]]
+name = "hand"
+length = 0.3
+section = "bar"
+material = "steel"
+rigid = true
+[[mechanism.joints]]
+name = "A"
+parent = "base"
+child = "hand"
+[[cases]]
+name = "perfect"
+[statics.positions]
+A = ["0 deg", "90 deg"]
+[statics.rates]
+A = "60 rpm"
+[statics.accelerations]
+A = ["0 rad/s^2", "10 rad/s^2"]
+"""
+
+
+def test_loads_in_a_given_motion(tmp_path, capsys):
+    file = tmp_path / "study.toml"
+    file.write_text(HAND, encoding="utf-8")
+    assert load_study(file).statics.accelerations == {"A": (0.0, 10.0)}
+    assert main(["statics", str(file), "--out", str(tmp_path / "out")]) == 0
+    assert "What drives the mechanism" in capsys.readouterr().out
+    found = json.loads((tmp_path / "out" / "statics.json").read_text(encoding="utf-8"))["cases"]["perfect"]
+    mass = 7850.0 * np.pi * 0.005**2 * 0.3
+    assert_allclose(found["rate"]["A"], 2 * [2.0 * np.pi])
+    assert_allclose(found["holding"]["A"], [0.0, 10.0 * mass * (0.3**2 / 3.0 + 0.005**2 / 4.0)], rtol=1e-9, atol=1e-12)
+    rows = np.genfromtxt(tmp_path / "out" / "statics.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+    assert_allclose(rows["A_acceleration_rad_s2"], [0.0, 10.0])
+    # The pull of the hinge is what holds the hand's centre on its circle.
+    assert_allclose(np.hypot(rows["A_force_x_N"], rows["A_force_z_N"])[0], mass * 0.15 * (2.0 * np.pi) ** 2, rtol=1e-9)
+    arguments = ["statics", str(file), "--out", str(tmp_path / "other"), "--rates", "A=0 rpm", "--accelerations", "A=0"]
+    assert main(arguments) == 0
+    assert main(["statics", str(file), "--out", str(tmp_path), "--rates", "60 rpm"]) == 2
+    assert "`--rates` must name a joint and its rates" in capsys.readouterr().err

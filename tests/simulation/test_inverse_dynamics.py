@@ -1,7 +1,5 @@
-"""Inverse dynamics of rigid links: a slider-crank by virtual work, a four-bar beside its simulation, in studies and in
+"""Inverse dynamics of rigid links: a slider-crank by virtual work, a four-bar beside its simulation, and in
 tasks; what moves otherwise is refused."""
-
-import json
 
 import jax
 import jax.numpy as jnp
@@ -25,13 +23,10 @@ from rfem_jax import (
     StaticProblem,
     discretise,
     inverse_dynamics,
-    load_study,
     sensitivity,
     simulate,
     static_loads,
 )
-from rfem_jax.report import command_line
-from rfem_jax.report.command_line import main
 from tests.derivatives import check_derivatives
 from tests.mechanisms import STEEL, link
 
@@ -191,55 +186,3 @@ def test_positions_and_rates_with_units():
     assert_allclose(found.position["A"], [np.radians(-20.0), -1.0])
     assert_allclose(found.rate["A"], 2.0 * np.pi)
     assert_allclose(found.acceleration["A"], [1.0, 2.0])
-
-
-STUDY = """
-[mechanism]
-gravity = [0, 0, 0]
-[mechanism.materials.steel]
-youngs_modulus = "210 GPa"
-poisson_ratio = 0.3
-density = 7850.0
-[mechanism.sections.bar]
-shape = "circle"
-diameter = "10 mm"
-[[mechanism.links]]
-name = "hand"
-length = 0.3
-section = "bar"
-material = "steel"
-rigid = true
-[[mechanism.joints]]
-name = "A"
-parent = "base"
-child = "hand"
-[[cases]]
-name = "perfect"
-[statics.positions]
-A = ["0 deg", "90 deg"]
-[statics.rates]
-A = "60 rpm"
-[statics.accelerations]
-A = ["0 rad/s^2", "10 rad/s^2"]
-"""
-
-
-def test_in_studies(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(command_line, "set_up_jax", lambda *_: None)
-    file = tmp_path / "study.toml"
-    file.write_text(STUDY, encoding="utf-8")
-    assert load_study(file).statics.accelerations == {"A": (0.0, 10.0)}
-    assert main(["statics", str(file), "--out", str(tmp_path / "out")]) == 0
-    assert "What drives the mechanism" in capsys.readouterr().out
-    found = json.loads((tmp_path / "out" / "statics.json").read_text(encoding="utf-8"))["cases"]["perfect"]
-    mass = 7850.0 * np.pi * 0.005**2 * 0.3
-    assert_allclose(found["rate"]["A"], 2 * [2.0 * np.pi])
-    assert_allclose(found["holding"]["A"], [0.0, 10.0 * mass * (0.3**2 / 3.0 + 0.005**2 / 4.0)], rtol=1e-9, atol=1e-12)
-    rows = np.genfromtxt(tmp_path / "out" / "statics.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
-    assert_allclose(rows["A_acceleration_rad_s2"], [0.0, 10.0])
-    # The pull of the hinge is what holds the hand's centre on its circle.
-    assert_allclose(np.hypot(rows["A_force_x_N"], rows["A_force_z_N"])[0], mass * 0.15 * (2.0 * np.pi) ** 2, rtol=1e-9)
-    arguments = ["statics", str(file), "--out", str(tmp_path / "other"), "--rates", "A=0 rpm", "--accelerations", "A=0"]
-    assert main(arguments) == 0
-    assert main(["statics", str(file), "--out", str(tmp_path), "--rates", "60 rpm"]) == 2
-    assert "`--rates` must name a joint and its rates" in capsys.readouterr().err
