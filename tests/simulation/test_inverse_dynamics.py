@@ -133,6 +133,26 @@ def test_no_motion_is_rest():
         assert_allclose(moving.loads[name].force, load.force, atol=1e-8)
 
 
+def test_springs_and_dampers_of_a_held_joint_are_no_part_of_what_holds_it():
+    """A hand on a torsion spring with a damper, at rest and in motion, with its weight."""
+    stiffness, damping, free = 4.0, 0.3, 0.2
+    spring = JointSpring("s", "A", stiffness=stiffness, damping=damping, rest=free)
+    hand = Mechanism(
+        [Link("hand", 0.3, body=RigidBody(2.0, (0.1, 0.0, 0.0), (0.01, 0.05, 0.05)))], [Joint("A", "base", "hand")],
+        driven_joint="A", forces=[spring], gravity=(0.0, 0.0, -9.81),
+    )  # fmt: skip
+    model = discretise(hand)
+    held, moved = (
+        static_loads(model, None, {"A": ANGLES}),
+        inverse_dynamics(model, {"A": ANGLES}, {"A": 3.0}, {"A": 7.0}),
+    )
+    # The joint turns from z to x, so that at an angle q the centre is at -0.1 sin q along z.
+    weight = -2.0 * 9.81 * 0.1 * np.cos(ANGLES)
+    rest = weight + stiffness * (ANGLES - free)
+    assert_allclose(held.holding["A"], rest, rtol=1e-9)
+    assert_allclose(moved.holding["A"], rest + damping * 3.0 + (0.05 + 2.0 * 0.1**2) * 7.0, rtol=1e-9)
+
+
 def test_samples_of_a_given_motion():
     problem = StaticProblem(
         discretise(slider_crank()), ("A.end_drive_moment",), {"A": -1.2}, rates={"A": -RATE}, accelerations={"A": -50.0}
