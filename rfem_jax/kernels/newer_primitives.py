@@ -4,6 +4,7 @@ Place in the pipeline: emission -> **newer_primitives**, which says there what t
 """
 
 import functools
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -30,6 +31,14 @@ def binary_logarithm(x: Array, **others: object) -> Array:
     return jnp.log(x) * (1.0 / np.log(2.0))
 
 
+def of_high_level(*operands: Array, **settings: Any) -> Any:
+    """What a primitive of hijax is made of, as a search in a sorted array (of `jnp.interp`, `jnp.searchsorted`), in its
+    own words: by the method that `jax.experimental.hijax.HiPrim` asks for."""
+    (primitive,) = settings.values()
+    return primitive.expand(*operands)
+
+
+expand_primitive("call_hi_primitive", of_high_level)
 expand_primitive("one_minus_square", one_minus_square)
 expand_primitive("polynomial", polynomial)
 expand_primitive("log2", binary_logarithm)

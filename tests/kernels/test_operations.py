@@ -270,6 +270,31 @@ def test_functions_and_derivatives_have_machine_code_with_every_version_of_jax(f
         np.testing.assert_allclose(a, b, rtol=1e-13)
 
 
+@pytest.mark.parametrize("method", ["scan", "scan_unrolled", "sort", "compare_all"])
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_searches_in_sorted_arrays(side, method):
+    """A primitive of its own on newer versions of JAX."""
+    rows, x = jnp.array([0.0, 1.0, 2.5, 7.0]), jnp.array([-1.0, 0.0, 2.4, 2.5, 9.0])
+    found = strict(lambda rows, x: jnp.searchsorted(rows, x, side=side, method=method))(rows, x)
+    np.testing.assert_array_equal(found, np.searchsorted(rows, x, side=side))
+
+
+def test_interpolation_and_its_derivatives():
+    rows, values, x = (
+        jnp.array([0.0, 1.0, 2.5, 7.0]),
+        jnp.array([3.0, -1.0, 4.0, 0.5]),
+        jnp.array([-1.0, 0.3, 2.4, 9.0]),
+    )
+
+    def function(values, x):
+        return jnp.interp(x, rows, values)
+
+    np.testing.assert_allclose(strict(function)(values, x), np.interp(x, rows, values), rtol=1e-14)
+    along = (jnp.array([1.0, 0.0, -2.0, 1.0]), jnp.ones_like(x))
+    found = strict(lambda *at: jax.jvp(function, at, along)[1])(values, x)
+    np.testing.assert_allclose(found, jax.jvp(function, (values, x), along)[1], rtol=1e-13)
+
+
 def test_polynomials():
     x = jnp.array([0.3, -2.0, 5.0])
     found = strict(lambda x: jax.jvp(lambda x: jnp.polyval(jnp.array([2.0, 0.5, -1.0]), x), (x,), (x,)))(x)

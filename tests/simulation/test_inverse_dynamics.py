@@ -81,6 +81,7 @@ def test_a_slider_crank_by_virtual_work():
     assert_allclose(found.acceleration["A"], -ACCELERATION)
 
 
+@pytest.mark.slow
 def test_derivatives_by_errors_in_both_modes():
     names = ("crank.length", "rod.length")
 
