@@ -4,6 +4,7 @@ import json
 import math
 import shutil
 
+import numpy as np
 import pytest
 
 from rfem_jax.report.page.document import write_folder
@@ -223,3 +224,45 @@ def test_bands_of_paths(open_page, folder, tmp_path):
     # All numbers are a third, and so is the axis: curves stay, its numbers change.
     assert ends(page, "#bands polyline") == across and "0.2" in page.text("#bands svg")
     assert page.complaints() == []
+
+
+def test_loads_in_a_given_motion_say_so(open_page, tmp_path):
+    """The page of loads at rest has other words where the mechanism moves."""
+    load = {"force": [[3.0, 0.0, 4.0]], "moment": [[0.0, 1.0, 0.0]]}
+    case = {
+        "status": "ok", "statuses": ["ok"], "position": {"A": [0.5]}, "holding": {"A": [2.5]}, "joints": {"A": load},
+        "stress": {}, "metrics": {}, "energy": {},
+    }  # fmt: skip
+    content = {"title": "Loads", "held": {"A": "rad"}, "units": {"A": "N m"}, "cases": {"perfect": case}}
+    words = {}
+    for name, motion in (("rest", {}), ("moving", {"rate": {"A": [6.0]}, "acceleration": {"A": [0.0]}})):
+        out = tmp_path / name
+        out.mkdir()
+        shown = {**content, "cases": {"perfect": {**case, **motion}}}
+        (out / "statics.json").write_text(json.dumps(shown), encoding="utf-8")
+        page = open_page(write_folder(out))
+        words[name] = page.text("body")
+        assert page.complaints() == []
+    assert "What holds the mechanism" in words["rest"] and "Loads of the joints at rest" in words["rest"]
+    assert (
+        "What drives the mechanism" in words["moving"] and "Loads of the joints in the given motion" in words["moving"]
+    )
+
+
+def test_a_mechanism_in_x_and_y_is_seen_from_the_front_of_its_plane(open_page, folder, tmp_path):
+    """Nearly as from above, with y upwards; others obliquely, as before."""
+    pictures = {}
+    for plane in ("xz", "xy"):
+        out = shutil.copytree(folder, tmp_path / plane)
+        with np.load(out / "animation.npz") as file:
+            arrays = dict(file)
+        description = json.loads(str(arrays["description"]))
+        arrays["description"] = json.dumps(description | {"plane": plane})
+        np.savez(out / "animation.npz", **arrays)
+        page = open_page(write_folder(out))
+        pictures[plane] = page.picture()
+        page.click("[data-view=top]")
+        assert page.picture() != pictures[plane]
+        page.click("[data-view=oblique]")
+        assert page.picture() == pictures[plane] and page.complaints() == []
+    assert pictures["xy"] != pictures["xz"]

@@ -65,6 +65,7 @@ def record_animation(runs: Mapping[str, Run]) -> tuple[dict[str, Any], list[Arra
         "links": [{"name": name, "points": n} for name, n in zip(topology.links, counts, strict=True)],
         "joints": _joints(topology),
         "paths": paths,
+        **({} if topology.plane == "xz" else {"plane": topology.plane}),
         **acting,
     }
     return description, [_arrays(run, most, description) for run in runs.values()]

@@ -4,9 +4,11 @@ const VIEWS = {
 };
 
 class Camera {
-  // `half`: half the sides [m] of a box around all that moves.
-  constructor(centre, half) {
-    Object.assign(this, { centre, half, radius: length(half), perspective: false });
+  // `half`: half the sides [m] of a box around all that moves; `plane`: "xy" of a mechanism that is seen from where its
+  // figure is.
+  constructor(centre, half, plane) {
+    const views = plane === "xy" ? { ...VIEWS, oblique: [-Math.PI / 2, 1.15] } : VIEWS;
+    Object.assign(this, { centre, half, views, radius: length(half), perspective: false });
     this.reset();
   }
 
@@ -16,7 +18,7 @@ class Camera {
   }
 
   look(view) {
-    [this.yaw, this.pitch] = VIEWS[view];
+    [this.yaw, this.pitch] = this.views[view];
     this.shift = [0, 0];
     this.fit = this.reach();
   }

@@ -37,7 +37,7 @@ class MechanismView {
     this.canvas = canvas;
     this.context = canvas.getContext("2d");
     this.measured = measureScene();
-    this.camera = new Camera(this.measured.centre, this.measured.half);
+    this.camera = new Camera(this.measured.centre, this.measured.half, content.animation.plane);
     this.camera.attach(canvas, () => this.draw());
     scene.exaggeration = this.measured.factor;
     new ResizeObserver(() => this.draw()).observe(canvas);

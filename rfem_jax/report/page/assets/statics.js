@@ -1,4 +1,9 @@
-// Loads at rest, at one position or at several of what is held.
+// Loads at rest, or of rigid links in a given motion, at one position or at several of what is held.
+function staticsWords(cases) {
+  const moving = cases.some(([, one]) => one.rate && typeof one.rate === "object");
+  return moving ? ["in the given motion", "What drives", "driven by"] : ["at rest", "What holds", "held by"];
+}
+
 function staticsRows(cases, part, values) {
   return cases.flatMap(([name, one]) => asEntries(one[part]).flatMap(([of, found]) => values(found).map((value, i) => ({ name, of, i, value, one }))));
 }
@@ -7,6 +12,7 @@ function staticsPage(task) {
   const { result } = task;
   const cases = analysedCases(result);
   const held = asEntries(result.held);
+  const [how, what, by] = staticsWords(cases);
   const several = cases.some(([, one]) => one.statuses.length > 1);
   const place = (row) => held.map(([label, unit]) => `${label} ${showBeside(row.one.position[label][row.i] * (unit === "rad" ? DEGREES : 1000), 0, 5)} ${unit === "rad" ? "deg" : "mm"}`).join(", ");
   const first = [{ label: "case", value: (row) => row.name }, { label: "joint", value: (row) => row.of },
@@ -15,18 +21,18 @@ function staticsPage(task) {
   const parts = (load, unit) => [{ label: load, unit, loads: true, value: (row) => size(row.value[load]) },
     ...["x", "y", "z"].map((axis, k) => ({ label: `${load} ${axis}`, unit, loads: true, value: (row) => row.value[load][k] }))];
   const joints = staticsRows(cases, "joints", (load) => load.force.map((force, i) => ({ force, moment: load.moment[i] })));
-  const sections = [section("Loads of the joints at rest", sortableTable("Loads of the joints at rest",
+  const sections = [section(`Loads of the joints ${how}`, sortableTable("Forces and moments in the frames of the joints",
     [...first, ...parts("force", "N"), ...parts("moment", "N m")], joints, { id: "static-loads" }))];
   if (held.length) {
     const rows = staticsRows(cases, "holding", (values) => values);
     const columns = [first[0], { label: "held", value: (row) => row.of }, { label: "position", value: place },
-      { label: "held by", value: (row) => row.value }, { label: "unit", value: (row) => (result.units || {})[row.of] }];
-    sections.push(section("What holds the mechanism", staticsCurve(result, cases, held), sortableTable("What holds the mechanism", columns, rows, { id: "static-holding" })));
+      { label: by, value: (row) => row.value }, { label: "unit", value: (row) => (result.units || {})[row.of] }];
+    sections.push(section(`${what} the mechanism`, staticsCurve(result, cases, held), sortableTable(`${what} the mechanism`, columns, rows, { id: "static-holding" })));
   }
   const metrics = staticsRows(cases, "metrics", (value) => [value]);
   if (metrics.length) {
     const columns = [first[0], { label: "metric", value: (row) => row.of }, { label: "value", value: (row) => row.value }, { label: "unit", value: (row) => (result.units || {})[row.of] }];
-    sections.push(section("Metrics", sortableTable("Metrics of the mechanism at rest", columns, metrics, { id: "static-metrics" })));
+    sections.push(section("Metrics", sortableTable(`Metrics of the mechanism ${how}`, columns, metrics, { id: "static-metrics" })));
   }
   const stresses = staticsRows(cases, "stress", (values) => values);
   if (stresses.length) {
@@ -44,6 +50,6 @@ function staticsCurve(result, cases, held) {
   const series = cases.map(([name, one], index) => ({ name, index, x: one.position[label].map((x) => x * (unit === "rad" ? DEGREES : 1000)),
     y: one.holding[label].map((y, i) => (one.statuses[i] === "ok" && Number.isFinite(y) ? y : NaN)), class: `curve case-${index % 7}`, dash: caseDash(index) }));
   return make("div", { id: "static-curve" },
-    lineChart(series, `position of ${label}, ${unit === "rad" ? "deg" : "mm"}`, unit === "rad" ? "N m" : "N", `What holds ${label} at rest`, { width: 760, height: 320 }),
+    lineChart(series, `position of ${label}, ${unit === "rad" ? "deg" : "mm"}`, unit === "rad" ? "N m" : "N", `${staticsWords(cases)[1]} ${label} ${staticsWords(cases)[0]}`, { width: 760, height: 320 }),
     lineLegend(series.map((one) => [one.name, one.index])));
 }
