@@ -217,6 +217,27 @@ def chain_with_couplings():
     return dataclasses.replace(chain_of_kinds(), forces=forces)
 
 
+def chain_with_ideal_couplings():
+    """`chain_of_kinds` with ideal couplings: of joints on flexible links by a ratio with errors and by a table, and of
+    two motions of one joint, beside an elastic one."""
+    forces = [
+        Coupling("rack", ("A", "P"), ratio=0.1, eccentricity=2e-3, waves=3.0, pitch_error=0.02),
+        Coupling("screw", ("C", "C"), motions=("R_y", "T_y"), ratio=0.05),
+        Coupling("cam", ("R", "U"), motions=("R_y", "R_z"), positions=[-4.0, -1.0, 0.5, 1.0, 4.0],
+                 values=[0.3, 0.6, 0.1, -0.4, 0.2]),
+        Coupling("belt", ("U", "L"), motions=("R_y", "R_y"), ratio=-1.5, stiffness=20.0, damping=0.1),
+    ]  # fmt: skip
+    return dataclasses.replace(chain_of_kinds(), forces=forces)
+
+
+def loop_with_an_ideal_coupling():
+    """A spatial four-bar with a prop on its flexible coupler, whose angle a gear ties to that of the rocker."""
+    loop = loop_with_a_ball()
+    prop = Joint("P", "coupler", "prop", position=(0.15, 0.0, 0.01), orientation=(0.3, -0.2, 0.1), angle=0.4)
+    gear = Coupling("gear", ("D", "P"), ratio=-0.7, offset=-0.2)
+    return dataclasses.replace(loop, links=[*loop.links, link("prop", 0.1)], joints=[*loop.joints, prop], forces=[gear])
+
+
 def chain_with_drives():
     """Drives on motions of all kinds, two of them on one joint, one beside a spring and one beside a law; one link is
     a body with products of inertia."""

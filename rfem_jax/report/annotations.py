@@ -16,11 +16,14 @@ if TYPE_CHECKING:
     from rfem_jax.mechanics.model.discretisation import StartHeld, Structure
     from rfem_jax.mechanics.model.model import Model
     from rfem_jax.simulation.cycle import Cycle
-    from rfem_jax.simulation.run import Run
+    from rfem_jax.simulation.run import CouplingHistory, Run
 else:
-    Axes = Axes3D = Cycle = Figure = Model = Run = StartHeld = Structure = Study = Any
+    Axes = Axes3D = CouplingHistory = Cycle = Figure = Model = Run = StartHeld = Structure = Study = Any
 
 # {case: the numbers of its run}, as `summary.summarise` makes them.
 Summaries = dict[str, dict[str, Any]]
 
-__all__ = ["Axes", "Axes3D", "Cycle", "Figure", "Model", "Run", "StartHeld", "Structure", "Study", "Summaries"]
+__all__ = [
+    "Axes", "Axes3D", "CouplingHistory", "Cycle", "Figure", "Model", "Run", "StartHeld", "Structure", "Study",
+    "Summaries",
+]  # fmt: skip

@@ -34,7 +34,7 @@ from rfem_jax.description.study_file.study import Study
 from rfem_jax.mechanics.forces.bush_contacts import CONTACT_NAMES, ContactState
 from rfem_jax.mechanics.model.discretisation import start_held
 from rfem_jax.mechanics.statics.assembly import Load
-from rfem_jax.report.annotations import Run, StartHeld, Summaries
+from rfem_jax.report.annotations import CouplingHistory, Run, StartHeld, Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities
 from rfem_jax.report.output import csv_cell, write_json
 from rfem_jax.report.summary import joint_names, reaction_norm, study_note, total_energy
@@ -93,7 +93,7 @@ def history_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " tim
     losses |= {column_name(f"{joint}_contact_loss", "J"): np.asarray(x) for joint, x in run.contact_losses.items()}
     return (
         columns | _coordinate_columns(study, run) | _point_columns(study, run) | path_columns(run) | losses
-        | contact_columns(run.contacts) | _coupling_columns(study, run) | shaking_columns(run)
+        | contact_columns(run.contacts) | coupling_columns(study, run.couplings) | shaking_columns(run)
     )  # fmt: skip
 
 
@@ -138,11 +138,11 @@ def path_columns(run: Run) -> dict[str, Float[np.ndarray, " times"]]:
     return columns
 
 
-def _coupling_columns(study: Study, run: Run) -> dict[str, Float[np.ndarray, " times"]]:
+def coupling_columns(study: Study, couplings: Mapping[str, CouplingHistory]) -> dict[str, Float[np.ndarray, " times"]]:
     """Loads along the two coordinates of every coupling, and the deflection of its mesh at the second one."""
     columns = {}
     for coupling in study.mechanism.couplings:
-        history = run.couplings[coupling.name]
+        history = couplings[coupling.name]
         columns |= coupling_load_columns(coupling, np.asarray(history.loads))
         unit = "rad" if coupling.turns[1] else "m"
         columns[column_name(f"{coupling.name}_deflection", unit)] = np.asarray(history.deflection)

@@ -157,7 +157,8 @@ def _coupling_text(coupling: Coupling, size: str) -> str:
     assert coupling.motions is not None, "a mechanism names the motions"
     ends = " and ".join(f"{joint}, {motion}" for joint, motion in zip(coupling.joints, coupling.motions))
     kind = "ratio" if coupling.positions is None else f"table of {len(coupling.positions)} rows"
-    return f"Coupling {coupling.name}: of joints {ends}, by a {kind}{size}.\n"
+    ideal = "ideal, " if coupling.ideal else ""
+    return f"Coupling {coupling.name}: of joints {ends}, {ideal}by a {kind}{size}.\n"
 
 
 def _points_text(force: Force) -> str:

@@ -91,6 +91,7 @@ def numbers_saved(study: Study) -> int:
     explicit += coordinates + sum(KINDS[joint.kind].ball for joint in mechanism.tree_joints) + elastic  # positions
     if study.method.implicit or study.method.name == "auto":  # which may choose an implicit one
         closing = sum(6 - len(KINDS[joint.kind].freedoms) for joint in mechanism.cut_joints)
+        closing += sum(one.ideal for one in mechanism.couplings)
         return explicit + coordinates + elastic + closing  # residuals
     return explicit
 

@@ -112,6 +112,10 @@ class LabelledStatics(LabelledResult):
                     f"deflection of {owner}, frame of the link")  # fmt: skip
         for name in self.results[0].points:
             put(f"place_{name}", ("component",), lambda r, n=name: r.points[n].position, "m", f"place of {name}")
+        for name in self.results[0].couplings:
+            put(f"coupling_load_{name}", ("coupled",), lambda r, n=name: r.couplings[n].loads, "N m or N",
+                f"load of coupling {name} along its two coordinates")  # fmt: skip
+            coordinates |= {"coupled": ("first", "second")}
         for part in ("elastic", "gravity"):
             put(f"{part}_energy", (), lambda r, n=part: getattr(r.energy, n), "J", f"{part} energy")
         put("status", (), lambda r: r.status, "1", "what happened to the assembly")

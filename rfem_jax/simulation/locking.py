@@ -59,7 +59,7 @@ def drive_limit(model: Model, drive: Drive, duration: float) -> DriveLimit | Non
     """The instant at which the loops of the perfect mechanism stop closing while its drives prescribe their motions for
     a duration [s]. None if the loops close throughout, or no motion is prescribed."""
     topology = model.topology
-    if topology.n_cuts == 0 or drive is None:
+    if topology.n_constraints == 0 or drive is None:
         return None
     drives = active_drives(model, drive)
     if not drives.prescribed:

@@ -205,7 +205,7 @@ def observe(
             asked={},
             contacts=contact_states(actual, now),
             points=point_motions(actual, now, instant.angular, instant.linear),
-            couplings=_coupling_histories(instant.laws),
+            couplings=coupling_histories(instant.laws),
         )
 
 
@@ -223,7 +223,7 @@ def _point_histories(topology: Topology, at_nodes: FrameLoads | None) -> dict[st
     return {name: PointHistory(*one) for name, one in exerted.items() if name not in contacts}
 
 
-def _coupling_histories(laws: LawForces | None) -> dict[str, CouplingHistory]:
+def coupling_histories(laws: LawForces | None) -> dict[str, CouplingHistory]:
     """Loads and deflections of the couplings, by their names."""
     meshes = {} if laws is None else laws.couplings or {}
     return {name: CouplingHistory(mesh.loads, mesh.deflection) for name, mesh in meshes.items()}
@@ -260,13 +260,14 @@ def _load_along_free_motions(topology: Topology, instant: Instant, drive: DriveI
 
 def _branch(actual: ModelWithErrors, instant: Instant) -> Float[Array, " cuts"]:
     """Assembly modes of the cut joints."""
-    if instant.closure is None:
+    if instant.closure is None or not instant.closure.groups:
         return jnp.zeros((0,))
     return assembly_modes(actual, instant.motion, instant.closure)
 
 
 def cut_drift(cuts: Closure | None, scale: vectors.Scalar) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Closure errors of the cut joints: largest distance [m] of two joint centres, largest axis equation [rad]."""
+    """Closure errors: largest distance [m] of two joint centres, or of an ideal coupling, angles times a length;
+    largest axis equation [rad]."""
     if cuts is None:
         return jnp.zeros(()), jnp.zeros(())
     distances, turns = [], []
@@ -275,6 +276,8 @@ def cut_drift(cuts: Closure | None, scale: vectors.Scalar) -> tuple[Float[Array,
         distances.append(equations.safe_sqrt(jnp.max(jnp.sum(of_centres**2, axis=0))))
         if of_axes.shape[0]:
             turns.append(jnp.max(jnp.abs(of_axes)) / scale)
+    if cuts.couplings is not None:
+        distances.append(jnp.max(jnp.abs(cuts.couplings.residual)))
     return _largest(distances), _largest(turns)
 
 

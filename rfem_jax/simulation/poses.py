@@ -132,7 +132,7 @@ def _require_decided(model: Model, poses: ClosedPose, given: tuple[int, ...]) ->
     held stands: a dead centre, whose loads are infinite or anything. `given`: the coordinates whose positions are."""
     topology = model.topology
     free = np.setdiff1d(np.arange(topology.n_freedoms), topology.held_at_start)
-    if topology.n_cuts == 0 or topology.settles or _gives_way(topology) or not free.size:
+    if topology.n_constraints == 0 or topology.settles or _gives_way(topology) or not free.size:
         return
     geometry = nominal.geometry_of(model)
     for i, joints in enumerate(np.asarray(poses.start_joints)):

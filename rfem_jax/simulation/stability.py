@@ -120,7 +120,7 @@ def _poses(model: Model) -> np.ndarray:
 
 def _stable(model: Model, method: Method, modes: Modes, values: np.ndarray, step: float) -> bool:
     trial = replace(method, step=step)
-    if model.topology.n_cuts:
+    if model.topology.n_constraints:
         rate = np.sqrt(float(stabilisation_of(model, trial).position_gain))
         modes, values = _with_gaps(modes, rate), np.append(values, -rate)
     if method.name == "leapfrog":

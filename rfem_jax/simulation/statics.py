@@ -45,7 +45,7 @@ from rfem_jax.mechanics.statics.assembly import Load, closed_at_rest, equilibriu
 from rfem_jax.mechanics.statics.designs import Design, designed, status_of
 from rfem_jax.simulation.conclusion import LoadSummary, ball_angles, joint_coordinates, load_metrics
 from rfem_jax.simulation.equations import Numbers, safe_sqrt, squares
-from rfem_jax.simulation.observation import energy_at, solved_instant
+from rfem_jax.simulation.observation import coupling_histories, energy_at, solved_instant
 from rfem_jax.simulation.poses import ClosedPose, Positions, posed, poses_at, start_pose
 from rfem_jax.simulation.records import (
     PerfectPath,
@@ -54,7 +54,7 @@ from rfem_jax.simulation.records import (
     finished_records,
     require_records,
 )
-from rfem_jax.simulation.run import DriveHistory, Energy, Loads, Metrics, PointPath
+from rfem_jax.simulation.run import CouplingHistory, DriveHistory, Energy, Loads, Metrics, PointPath
 
 
 class Still(NamedTuple):
@@ -94,7 +94,7 @@ class StaticLoads(eqx.Module):
     has to act on it from outside. loads: of all joints (positions, 3), in hinge frames; metrics of them over the
     positions; angles [rad], displacements [m] of the tree joints; energy [J]; points: `PointPath` of every point;
     rate, acceleration of the held coordinates, zero at rest; recorded: by the names of `simulation.records`,
-    "LINK.sections" and "LINK.deflection" of flexible links among them;
+    "LINK.sections" and "LINK.deflection" of flexible links among them; couplings: `CouplingHistory` of every coupling;
     stress [Pa]: largest von Mises stress of every link whose section's edge is known; contacts: of joints with
     clearance; status: code of `STATUS` of every position.
     """
@@ -114,6 +114,7 @@ class StaticLoads(eqx.Module):
     status: Int[Numbers, "*positions"]
     rate: dict[str, Float[Numbers, "*positions"]]
     acceleration: dict[str, Float[Numbers, "*positions"]]
+    couplings: dict[str, CouplingHistory] = eqx.field(default_factory=dict)
 
     @property
     def preload(self) -> dict[str, Load]:
@@ -247,6 +248,7 @@ class _Found(NamedTuple):
     status: Int[Array, ""]
     rates: Float[Array, " held"]
     accelerations: Float[Array, " held"]
+    couplings: dict[str, CouplingHistory]
 
 
 def _at_pose(model: Model, actual: ModelWithErrors, pose: ClosedPose, asked: Sequence[str]) -> _Found:
@@ -280,6 +282,7 @@ def _at_pose(model: Model, actual: ModelWithErrors, pose: ClosedPose, asked: Seq
         status=status,
         rates=rates,
         accelerations=accelerated,
+        couplings=coupling_histories(still.laws),
     )
 
 
@@ -409,6 +412,7 @@ def _named_results(
         status=status,
         rate={label: found.rates[:, i] for label, i in labels.items()},
         acceleration={label: found.accelerations[:, i] for label, i in labels.items()},
+        couplings=found.couplings,
     )
 
 

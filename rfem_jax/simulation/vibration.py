@@ -112,7 +112,9 @@ class Vibration:
         self.bearings = [] if model.springs is None else list(model.springs.values())
         elements = any(element.components for element in self.elements)
         start = jnp.asarray(model.start_joints)
-        self.couplings = [one.starting_at(start) for one in (model.couplings or {}).values()]
+        couplings = [one.starting_at(start) for one in (model.couplings or {}).values()]
+        self.couplings = [one for one in couplings if one.stiffness is not None]
+        self.ideal = [one for one in couplings if one.stiffness is None]
         self.sprung = bool(self.forces) or bool(self.bearings) or bool(self.couplings) or elements
 
     def modes(self, joints: Float[np.ndarray, " numbers"]) -> Modes:
@@ -429,9 +431,13 @@ class Vibration:
         entries = np.concatenate(blocks), (np.concatenate(rows), np.concatenate(columns))
         matrix = sparse.csr_matrix(entries, shape=(count, self.size))
         others = [k for k in self.held if not topology.about_hinge(k)]
-        if not others:
+        more = [self._coordinate_rates(placed, others)] if others else []
+        for law in self.ideal:
+            slope = float(law.transmitted(jnp.asarray(placed.joints[law.places[0]]))[1])
+            more.append(np.array([[-slope, 1.0]]) @ self._coordinate_rates(placed, law.coordinates))
+        if not more:
             return matrix
-        return sparse.csr_matrix(sparse.vstack([matrix, sparse.csr_matrix(self._coordinate_rates(placed, others))]))
+        return sparse.csr_matrix(sparse.vstack([matrix, *(sparse.csr_matrix(rows) for rows in more)]))
 
 
 def _position(law: JointLaw | Friction, joints: np.ndarray) -> float:

@@ -109,6 +109,57 @@ def test_the_files_have_both_loads(folder):
     assert [case["status"] for case in cases.values()] == ["ok", "ok"]
 
 
+@pytest.fixture(scope="module")
+def ideal(tmp_path_factory):
+    """The same without a mesh, in which the rack follows without a start of its own."""
+    file = tmp_path_factory.mktemp("ideal") / "study.toml"
+    text = STUDY.replace(f"stiffness = {STIFFNESS}\ndamping = 100\n", "").replace(f"speed = {RADIUS * RATE}\n", "")
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def test_an_ideal_coupling_follows_its_errors_at_once(ideal, capsys):
+    out = ideal.parent / "out"
+    assert main(["run", str(ideal), "--out", str(out)]) == 0
+    perfect, eccentric = (columns(out / f"{case}.csv") for case in ("perfect", "eccentric"))
+    assert_allclose(perfect["mesh_second_force_N"], 0.0, atol=1e-9)
+    accelerated = -MASS * 1e-4 * RATE**2 * np.sin(RATE * eccentric["time_s"])
+    assert_allclose(eccentric["mesh_second_force_N"], accelerated, rtol=0, atol=1e-9)
+    assert_allclose(eccentric["mesh_deflection_m"], 0.0, atol=1e-9)
+    capsys.readouterr()
+    assert main(["check", str(ideal)]) == 0
+    assert "of joints A, R_y and G, T_x, ideal, by a ratio" in " ".join(capsys.readouterr().out.split())
+
+
+def test_tasks_with_an_ideal_coupling(ideal):
+    """Monte Carlo by an angle that a load holds: the moment is the force times the radius of each sample."""
+    text = ideal.read_text(encoding="utf-8")
+    statics = text[: text.index("[drive]")] + text[text.index("[tolerances]") : text.index("[sensitivity]")]
+    statics = statics.replace("gravity = [0, 0, 0]", "gravity = [10, 0, 0]")
+    statics += """
+[statics]
+hold = "A"
+
+[monte_carlo]
+metrics = ["mesh.max_mesh_force"]
+n = 8
+
+[[cases]]
+name = "perfect"
+"""
+    file = ideal.parent / "statics.toml"
+    file.write_text(statics, encoding="utf-8")
+    out = ideal.parent / "statics"
+    assert main(["statics", str(file), "--out", str(out)]) == 0
+    found = columns(out / "statics.csv")
+    assert_allclose(found["mesh_second_force_N"], -10.0 * MASS, rtol=1e-12)
+    assert_allclose(found["mesh_first_moment_Nm"], 10.0 * MASS * RADIUS, rtol=1e-12)
+    assert main(["monte-carlo", str(file), "--out", str(out)]) == 0
+    drawn = columns(out / "monte_carlo.csv")
+    assert len(drawn) == 8
+    assert_allclose(drawn["meshmax_mesh_force_N"], 10.0 * MASS, rtol=1e-12)
+
+
 def test_a_turn_has_the_loads(path, tmp_path):
     """At rest the mesh carries nothing."""
     assert main(["turn", str(path), "--out", str(tmp_path)]) == 0

@@ -10,7 +10,6 @@ from rfem_jax import (
     Coupling,
     GeneralisedAlpha,
     Joint,
-    JointSpring,
     Leapfrog,
     Mechanism,
     MomentTable,
@@ -27,30 +26,34 @@ from rfem_jax import (
     simulate,
 )
 from rfem_jax.simulation.stability import eigenvalues
+from tests.coupled_mechanisms import (
+    CRANK,
+    FOLLOWER,
+    LIFT,
+    NO_GRAVITY,
+    ONE,
+    PRELOAD,
+    RATE,
+    RATIO,
+    ROD,
+    SPRING,
+    TURN,
+    TWO,
+    cam,
+    gear_pair,
+    geared_five_bar,
+    rod_angles,
+    rotor,
+)
 from tests.derivatives import check_derivatives
-from tests.mechanisms import body, link
+from tests.mechanisms import body
 
-ONE, TWO, RATIO, STIFFNESS, MOMENT = 0.02, 0.05, -0.5, 1e4, 3.0
-NO_GRAVITY = (0.0, 0.0, 0.0)
-
-
-def rotor(name, inertia):
-    return body(name, 1.0, inertia=(inertia, inertia, inertia))
-
-
-def gear_pair(gravity=NO_GRAVITY, driven="A", rates=(None, None), **mesh):
-    joints = [
-        Joint("A", "base", "one", rate=rates[0]),
-        Joint("B", "base", "two", position=(0.3, 0.0, 0.0), rate=rates[1]),
-    ]
-    mesh = {"stiffness": STIFFNESS, "ratio": RATIO} | mesh
-    links, forces = [rotor("one", ONE), rotor("two", TWO)], [Coupling("mesh", ("A", "B"), **mesh)]
-    return Mechanism(links, joints, gravity=gravity, driven_joint=driven, forces=forces)
+STIFFNESS, MOMENT = 1e4, 3.0
 
 
 def driven_pair(method, duration=0.02, **mesh):
     drive = MomentTable("A", times=[0.0, 1.0], moments=[MOMENT, MOMENT])
-    model = discretise(gear_pair(**mesh))
+    model = discretise(gear_pair(**({"stiffness": STIFFNESS} | mesh)))
     return simulate(Simulation(model, drive=drive, duration=duration, method=method, save_every=duration / 10))
 
 
@@ -96,17 +99,17 @@ class TestGearPair:
 
     def test_eigenvalues_and_step(self):
         damping = 4.0
-        model = discretise(gear_pair(driven=None, damping=damping))
+        model = discretise(gear_pair(driven=None, stiffness=STIFFNESS, damping=damping))
         decay = 0.5 * damping * SQUARE / STIFFNESS
         expected = -decay + 1j * np.sqrt(SQUARE - decay**2)
         found = eigenvalues(model)
         np.testing.assert_allclose(found[np.argmax(found.imag)], expected, rtol=1e-6)
-        undamped = discretise(gear_pair(driven=None))
+        undamped = discretise(gear_pair(driven=None, stiffness=STIFFNESS))
         np.testing.assert_allclose(largest_stable_step(undamped, Leapfrog(step=1e-6)), 2.0 / np.sqrt(SQUARE), rtol=5e-3)
 
     def test_natural_frequencies(self):
         """With the first rotor locked, and with both free to turn against each other."""
-        model = discretise(gear_pair())
+        model = discretise(gear_pair(stiffness=STIFFNESS))
         locked = natural_frequencies(model, count=1).frequency
         np.testing.assert_allclose(locked, [np.sqrt(STIFFNESS / TWO) / (2.0 * np.pi)], rtol=1e-6)
         loose = natural_frequencies(model, locked=False, count=2).frequency
@@ -125,7 +128,7 @@ class TestGearPair:
     @pytest.mark.parametrize("method", [RungeKutta4(step=2e-4), GeneralisedAlpha(step=2e-4)], ids=["rk4", "implicit"])
     def test_derivatives(self, method):
         drive = MomentTable("A", times=[0.0, 1.0], moments=[MOMENT, MOMENT])
-        model = discretise(gear_pair(damping=2.0, eccentricity=1e-4, eccentricity_phase=0.3))
+        model = discretise(gear_pair(stiffness=STIFFNESS, damping=2.0, eccentricity=1e-4, eccentricity_phase=0.3))
         simulation = Simulation(model, drive=drive, duration=0.01, method=method, save_every=0.005)
         names = ("ratio", "stiffness", "damping", "pitch_error", "eccentricity")
 
@@ -169,23 +172,6 @@ class TestFlanks:
         assert int(run.status) == 0
         assert float(run.energy.dissipation[-1]) > 1e-3
         assert float(run.checks.energy_balance_error) < 1e-3
-
-
-LIFT, FOLLOWER, SPRING, PRELOAD, RATE = 8e-3, 0.4, 3e3, 60.0, 30.0
-
-
-def cam(**mesh):
-    """A cam that turns evenly under a follower on a guide along z, with a spring; harmonic lift."""
-    links = [rotor("cam", 1e-3), body("follower", FOLLOWER)]
-    up = (0.0, -0.5 * np.pi, 0.0)
-    joints = [Joint("A", "base", "cam"), Joint("G", "base", "follower", kind="prismatic", orientation=up)]
-    turns = np.linspace(0.0, 2.0 * np.pi, 73)
-    lift = Coupling(
-        "lift", ("A", "G"), positions=list(turns), values=list(0.5 * LIFT * (1.0 - np.cos(turns))), periodic=True,
-        offset=0.0, **mesh,
-    )  # fmt: skip
-    spring = JointSpring("return", "G", stiffness=SPRING, preload=-PRELOAD)
-    return Mechanism(links, joints, gravity=NO_GRAVITY, driven_joint="A", forces=[lift, spring])
 
 
 class TestCam:
@@ -277,7 +263,7 @@ class TestStatics:
 
     def test_errors_move_the_second_coordinate(self):
         """Pitch error, eccentricity and ratio error, and derivatives by them."""
-        model = discretise(gear_pair(waves=2.0, eccentricity_phase=0.4))
+        model = discretise(gear_pair(stiffness=STIFFNESS, waves=2.0, eccentricity_phase=0.4))
         angle = 0.7
 
         def second(values):
@@ -295,36 +281,9 @@ class TestStatics:
 class TestLoop:
     """A geared five-bar: two cranks whose mesh takes the freedom that the loop leaves."""
 
-    CRANK, ROD, APART, TURN = 0.05, 0.2, 0.15, 0.8
-
-    def five_bar(self, rfes=None, **mesh):
-        """Cranks turn with equal angles from those at the start, 0 and `TURN`; rods meet in C, above."""
-        links = [link("one", self.CRANK), link("left", self.ROD, rfes), link("right", self.ROD, rfes)]
-        links.append(link("two", self.CRANK))
-        angles, (one, two) = self.angles(0.0, self.TURN), (0.0, self.TURN)
-        joints = [
-            Joint("A", "base", "one", angle=one),
-            Joint("B", "one", "left", position=(self.CRANK, 0.0, 0.0), angle=angles[0] - one),
-            Joint("E", "base", "two", position=(self.APART, 0.0, 0.0), angle=two),
-            Joint("D", "two", "right", position=(self.CRANK, 0.0, 0.0), angle=angles[1] - two),
-            Joint("C", "left", "right", position=(self.ROD, 0.0, 0.0), child_position=(self.ROD, 0.0, 0.0), cut=True),
-        ]
-        mesh = Coupling("mesh", ("A", "E"), **({"ratio": 1.0, "stiffness": 1e6} | mesh))
-        rigid = {} if rfes else {"redundant_reactions": "minimum_norm"}
-        return Mechanism(links, joints, driven_joint="A", forces=[mesh], **rigid)
-
-    def angles(self, one, two):
-        """Angles of both rods about y, from those of the cranks, where the rods' circles meet above."""
-        cranks = (0.0, one), (self.APART, two)
-        pins = [np.array([x, 0.0]) + self.CRANK * np.array([np.cos(q), -np.sin(q)]) for x, q in cranks]
-        middle, half = 0.5 * (pins[0] + pins[1]), 0.5 * (pins[1] - pins[0])
-        across = np.array([-half[1], half[0]]) / np.linalg.norm(half)
-        meeting = middle + across * np.sqrt(self.ROD**2 - half @ half)
-        return [np.arctan2(-(meeting - pin)[1], (meeting - pin)[0]) for pin in pins]
-
     @pytest.mark.parametrize("method", [RungeKutta4(step=2e-5), GeneralisedAlpha(step=5e-4)], ids=["rk4", "implicit"])
     def test_positions_and_balances(self, method):
-        mechanism = self.five_bar(stiffness=3e4, damping=1.0)
+        mechanism = geared_five_bar(stiffness=3e4, damping=1.0)
         run = simulate(
             Simulation(
                 discretise(mechanism), drive=PrescribedRate("A", 5.0, 0.05),
@@ -334,9 +293,9 @@ class TestLoop:
         assert int(run.status) == 0
         one = np.asarray(run.motion.angles["A"])
         assert one[-1] > 0.3
-        two = self.TURN + one
+        two = TURN + one
         np.testing.assert_allclose(run.motion.angles["E"], two, rtol=0, atol=5e-6)
-        rods = np.array([self.angles(a, b) for a, b in zip(one, two, strict=True)])
+        rods = np.array([rod_angles(a, b) for a, b in zip(one, two, strict=True)])
         np.testing.assert_allclose(one + run.motion.angles["B"], rods[:, 0], rtol=0, atol=1e-5)
         assert np.abs(np.asarray(run.couplings["mesh"].loads)).max() > 0.05
         assert float(run.checks.energy_balance_error) < 1e-2
@@ -344,23 +303,23 @@ class TestLoop:
 
     def test_flexible_rods_at_rest(self):
         """The mesh carries what the weight asks for: the virtual work of a small turn of both cranks."""
-        model = discretise(self.five_bar(rfes=3))
+        model = discretise(geared_five_bar(rfes=3, stiffness=1e6))
         found = assemble(model, assembly_errors(model))
         assert int(found.status) == 0
         joints = dict(zip(model.topology.joints, found.state.position.joints))
-        deflection = float(joints["E"]) - self.TURN
+        deflection = float(joints["E"]) - TURN
         # Of rigid links: energies at angles of the second crank, the first one held.
         step = 1e-5
 
         def energy(two):
             weights = {}
-            rods = self.angles(0.0, two)
+            rods = rod_angles(0.0, two)
             mass = 7850.0 * 1e-4 * 9.81
-            pin = -self.CRANK * np.sin(two)
-            weights["two"] = mass * self.CRANK * 0.5 * pin
-            weights["left"] = mass * self.ROD * 0.5 * -self.ROD * np.sin(rods[0])
-            weights["right"] = mass * self.ROD * (pin - 0.5 * self.ROD * np.sin(rods[1]))
+            pin = -CRANK * np.sin(two)
+            weights["two"] = mass * CRANK * 0.5 * pin
+            weights["left"] = mass * ROD * 0.5 * -ROD * np.sin(rods[0])
+            weights["right"] = mass * ROD * (pin - 0.5 * ROD * np.sin(rods[1]))
             return sum(weights.values())
 
-        moment = (energy(self.TURN + step) - energy(self.TURN - step)) / (2.0 * step)
+        moment = (energy(TURN + step) - energy(TURN - step)) / (2.0 * step)
         np.testing.assert_allclose(-1e6 * deflection, moment, rtol=2e-3)

@@ -1,10 +1,11 @@
-"""Couplings between two joint coordinates: gears, racks, screws, belts, cams, by an elastic mesh.
+"""Couplings between two joint coordinates: gears, racks, screws, belts, cams, ideal or by an elastic mesh.
 
 Place in the pipeline: `Mechanism` holds them among its forces; the mechanics evaluates them inside compiled code.
 
 The mesh is a spring with a damper on q_b - f(q_a), f a ratio or a table: it exerts a load along q_b, and along q_a the
-opposite one times f', each between the parent and the child of its joint, beside what the joint itself carries.
-Source: theory (16.1) to (16.6).
+opposite one times f', each between the parent and the child of its joint, beside what the joint itself carries. An
+ideal coupling has no mesh: q_b = f(q_a) + offset is a constraint, and the load along q_b what it takes.
+Source: theory (16.1) to (16.9).
 """
 
 from dataclasses import dataclass, replace
@@ -27,11 +28,12 @@ RATIOS = {  # dimension of b's coordinate over a's, by whether these turn
     (False, True): "angle_per_length",
 }
 _TABLE = "positions", "values"
+_OF_MESH = {"damping": 0.0, "backlash": None, "one_sided": False, "contact_damping": 0.0, "exponent": 1.0}
 
 
 @dataclass(frozen=True)
 class Coupling(ChecksItself, Force):
-    """An elastic mesh between the coordinates q_a and q_b of two joints, which tends to q_b = f(q_a) + offset.
+    """A coupling of the coordinates q_a and q_b of two joints: q_b = f(q_a) + offset, ideal or by an elastic mesh.
 
     f is a `ratio` times q_a: of a gear pair teeth_a / teeth_b, negative for an external pair, of bevel gears or a belt
     likewise; of a rack the pinion's radius, of a screw its lead ("5 mm/rev"), from a rotation to a translation. Or f is
@@ -44,7 +46,7 @@ class Coupling(ChecksItself, Force):
         joints: names of the joints of q_a and q_b, which are not cut; a screw in one cylindrical joint names it twice,
             with two `motions`.
         stiffness: of the mesh at q_b, > 0: [N m/rad] about an axis, [N/m] along one; with an `exponent` n other than 1
-            in N m/rad^n or N/m^n, a plain number.
+            in N m/rad^n or N/m^n, a plain number; None = ideal, a constraint without play or damping.
         ratio: dq_b / dq_a: a plain number between two rotations or two translations, [m/rad] from a rotation to a
             translation, [rad/m] the other way.
         positions: of a table instead: [rad, m] of q_a, increasing; at least three.
@@ -53,7 +55,8 @@ class Coupling(ChecksItself, Force):
         periodic: whether the table repeats from its last row, whose value is that of the first; else its ends are
             without curvature.
         damping: of the mesh at q_b, >= 0: [N m s/rad], [N s/m].
-        offset: [rad, m] q_b - f(q_a) at which the perfect mesh is without load; None = that of the start.
+        offset: [rad, m] q_b - f(q_a) at which the perfect mesh is without load, or that an ideal coupling keeps;
+            None = that of the start, about which the coupling then says nothing.
         backlash: [rad, m] play at q_b between the two flanks, >= 0; None = none, and the mesh pulls as it pushes.
         one_sided: whether it only pushes q_b, in its positive direction, as a cam without a groove.
         contact_damping: [s/rad, s/m] chi >= 0 of flanks that only push, with the force K d^n (1 + chi d'), in the place
@@ -70,7 +73,7 @@ class Coupling(ChecksItself, Force):
 
     name: str
     joints: tuple[str, str]
-    stiffness: Quantity
+    stiffness: Quantity | None = None
     ratio: Quantity | None = None
     positions: Quantities | None = None
     values: Quantities | None = None
@@ -99,7 +102,18 @@ class Coupling(ChecksItself, Force):
             checks.convert(name, require_flag, f"`{name}` {of}")
         checks.convert("exponent", _exponent, f"`exponent` {of}")
         checks.relation(("ratio", *_TABLE, "periodic"), self._check_function)
-        checks.relation(("backlash", "one_sided", "damping", "contact_damping", "exponent"), self._check_flanks)
+        checks.relation(("stiffness", *_OF_MESH), self._check_flanks)
+
+    @property
+    def ideal(self) -> bool:
+        """Whether it is a constraint, without a mesh that gives way."""
+        return self.stiffness is None
+
+    @property
+    def coordinates(self) -> tuple[tuple[str, str], tuple[str, str]]:
+        """Joint and motion of both coordinates; of a coupling that a mechanism has resolved."""
+        assert self.motions is not None, "a mechanism names the motions"
+        return (self.joints[0], self.motions[0]), (self.joints[1], self.motions[1])
 
     @property
     def flanks(self) -> bool:
@@ -207,6 +221,12 @@ class Coupling(ChecksItself, Force):
     def _check_flanks(self) -> None:
         """What only flanks have comes with them, and the damper of a mesh without flanks does not."""
         of = f"of coupling `{self.name}`"
+        for name, usual in _OF_MESH.items() if self.ideal else ():
+            if getattr(self, name) != usual:
+                raise InputError(
+                    f"Argument `{name}` {of} must be left out without a `stiffness`, with which it is ideal, but was "
+                    "given; give the stiffness of the mesh, too, or leave it out."
+                )
         if self.one_sided and self.backlash is not None:
             raise InputError(
                 f"Argument `backlash` {of} must be left out where `one_sided` is true, but was given, and one flank "

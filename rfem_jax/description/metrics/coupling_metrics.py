@@ -37,12 +37,12 @@ def _register(load: str, unit: str, turns: bool) -> None:
     words = f"{load} that the mesh exerts along its second coordinate"
     add(
         f"max_mesh_{load}", f"largest mesh {load}", lambda run, one: jnp.max(jnp.abs(_loads(run, one))),
-        f"largest saved {words}", kinked=True, equation="(16.3)",
+        f"largest saved {words}", kinked=True, equation="(16.3)", at_rest=True,
     )  # fmt: skip
     add(
         f"peak_mesh_{load}", f"{PEAK_POWER}-norm of the mesh {load}, below its maximum,",
         lambda run, one: p_norm(_loads(run, one)), f"{BELOW}, of the {words}", equation="(8.7)",
-        note=f"{BELOW}, which is `max_mesh_{load}`",
+        note=f"{BELOW}, which is `max_mesh_{load}`", at_rest=True,
     )  # fmt: skip
 
 

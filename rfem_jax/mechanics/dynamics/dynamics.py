@@ -24,11 +24,11 @@ from jax import Array
 from jaxtyping import Float
 
 from rfem_jax.mechanics.algebra import vectors
-from rfem_jax.mechanics.algebra.vectors import apply, apply_transposed, cross, dot, product
+from rfem_jax.mechanics.algebra.vectors import Scalar, apply, apply_transposed, cross, dot, product
 from rfem_jax.mechanics.elements.elasticity import elastic_loads
 from rfem_jax.mechanics.forces.element_loads import FrameLoads, frame_loads
 from rfem_jax.mechanics.forces.friction import cut_friction, node_wrenches, tree_friction, with_friction
-from rfem_jax.mechanics.forces.joint_forces import LawForces, applied_forces, law_forces
+from rfem_jax.mechanics.forces.joint_forces import LawForces, applied_forces, law_forces, with_ideal_couplings
 from rfem_jax.mechanics.kinematics.cut_joints import Closure, closure, unit_columns
 from rfem_jax.mechanics.kinematics.motion import Motion, by_freedom, motion_of, node_frames, spread, total
 from rfem_jax.mechanics.kinematics.self_stress import Redundancy, inverse_closure, redundancy
@@ -102,9 +102,12 @@ def accelerations(
         laws = with_friction(actual, laws, found)
         tree = _with_cut_forces(topology, cuts, tree, laws)
     forces = applied_forces(topology, state.position, drive, laws)
-    responses, rates = _articulated_bodies(topology, tree, _load_columns(topology, cuts, tree), drive, forces)
+    columns, along = _load_columns(topology, cuts, tree), _along_joints(topology, cuts)
+    responses, rates = _articulated_bodies(topology, tree, columns, drive, forces, along)
     responses |= _cut_rfe_responses(actual, motion, cuts, angular, linear, laws)
-    multipliers, stabilising = _multipliers(topology, cuts, motion, tree, responses, stabilisation)
+    of_joints = sum((along[k][1:, None] * rates[k][None] for k in along), start=0.0)
+    multipliers, stabilising = _multipliers(topology, cuts, motion, tree, responses, of_joints, stabilisation)
+    laws = with_ideal_couplings(actual, laws, motion, multipliers, stabilisation.scale)
     weights = jnp.concatenate([jnp.ones((1,)), multipliers])
     solved = {node: _combine(columns, weights) for node, columns in responses.items()}
     angular, linear = _with_interfaces(topology, motion, solved, angular, linear)
@@ -268,6 +271,7 @@ def _load_columns(topology: Topology, cuts: Closure | None, tree: InterfaceTree)
     cut joint acts on, unit multipliers."""
     sides = topology.parents[topology.n_links :] + topology.children[topology.n_links :]
     closed = {topology.island_of(node) for node in sides if node != BASE}
+    closed |= {topology.island_of(topology.link_of_freedom[k]) for k in _along_joints(topology, cuts)}
     loads = {}
     for i, node in enumerate((*range(topology.n_links), *_branching(topology))):
         loads[node] = tree.load[:, None, i]
@@ -277,11 +281,26 @@ def _load_columns(topology: Topology, cuts: Closure | None, tree: InterfaceTree)
     return loads
 
 
+def _along_joints(topology: Topology, cuts: Closure | None) -> dict[int, Float[Array, " columns"]]:
+    """By joint coordinate that an ideal coupling acts along: its load of every column, which are the applied loads and
+    unit multipliers."""
+    if cuts is None or cuts.couplings is None:
+        return {}
+    along = cuts.couplings.along
+    before = jnp.zeros(1 + topology.n_constraints - along.shape[1])
+    return {k: jnp.concatenate([before, along[k]]) for k in topology.coupled}
+
+
 def _articulated_bodies(
-    topology: Topology, tree: InterfaceTree, loads: dict[int, Array], drive: DriveInput, forces: dict[int, Array]
+    topology: Topology,
+    tree: InterfaceTree,
+    loads: dict[int, Array],
+    drive: DriveInput,
+    forces: dict[int, Array],
+    along: dict[int, Array],
 ) -> tuple[dict[int, Array], list[Array]]:
     """Featherstone's articulated-body algorithm for K columns of loads at once: accelerations (6, K) of the
-    bodies and (K,) of the joint coordinates; `forces`: along joint coordinates.
+    bodies and (K,) of the joint coordinates; `forces`: along joint coordinates; `along`: as of `_along_joints`.
 
     The coordinates of a joint are eliminated one after another, as if bodies without mass were between them, which
     is the Cholesky factorisation of the joint's own matrix (theory (4.10)).
@@ -307,6 +326,8 @@ def _articulated_bodies(
                 force = forces.get(k)
                 if force is not None:
                     torque = torque + force[None] * first
+                if k in along:
+                    torque = torque + along[k]
                 steps[k] = (axis, bias[:, None] * first[None], torque / dot(axis, u)[None], by_inertia)
                 inertia = inertia - u[:, None] * by_inertia[None]
                 load = load - apply(inertia, bias)[:, None] * first[None] - by_inertia[:, None] * torque[None]
@@ -374,9 +395,11 @@ def _multipliers(
     motion: Motion,
     tree: InterfaceTree,
     responses: dict[int, Array],
+    of_joints: Scalar,
     stabilisation: Stabilisation,
 ) -> tuple[Array, Array]:
-    """Multipliers of theory (5.6), cut by cut, and their part due to stabilisation."""
+    """Multipliers of theory (5.6), cut by cut, and their part due to stabilisation; `of_joints`: second derivatives of
+    the equations of ideal couplings by all columns of loads."""
     if cuts is None:
         zeros = jnp.zeros((0,))
         return zeros, zeros
@@ -384,7 +407,7 @@ def _multipliers(
         points = _points_of(topology, motion, tree)
         sides = set(topology.parents[topology.n_links :]) | set(topology.children[topology.n_links :])
         units = ((node, unit_columns(topology, cuts, node, points[node])) for node in sorted(sides) if node != BASE)
-        rows = sum((vectors.transposed_product(unit, responses[node]) for node, unit in units), start=0.0)
+        rows = sum((vectors.transposed_product(unit, responses[node]) for node, unit in units), start=of_joints)
         rows = jnp.asarray(rows)
 
         baumgarte = -stabilisation.velocity_gain * cuts.rate - stabilisation.position_gain * cuts.residual

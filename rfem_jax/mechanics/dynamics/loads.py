@@ -189,7 +189,7 @@ def _hinge_frame_loads(
     if external is not None:
         moment = jnp.stack([moment[0], moment[1] - external, moment[2]])
     cuts = result.closure
-    if cuts is not None:
+    if cuts is not None and cuts.groups:
         of_groups = [group.loads(rows) for group, rows in zip(cuts.groups, cuts.by_group(result.multipliers))]
         on_right, couple = (columns(cuts.groups, part) for part in zip(*of_groups))
         force = jnp.concatenate([force, apply_transposed(cuts.rotation, on_right)], axis=1)
@@ -292,7 +292,7 @@ def cut_wrenches(
     at_cuts: CutForces | None = None,
 ) -> list[Float[Array, "6"]]:
     """Wrenches at the global origin that the parent sides of the cut joints exert on the children."""
-    if cuts is None:
+    if cuts is None or not cuts.groups:
         return []
     origin = jnp.zeros_like(cuts.centre[:, 0])
     units = [cuts.wrenches(i, "child", origin) for i in range(topology.n_cuts)]

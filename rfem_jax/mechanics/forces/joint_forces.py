@@ -4,7 +4,8 @@ Place in the pipeline: inputs, joint_laws -> **joint_forces** -> dynamics, resid
 reference.formulation.
 
 They are the moments and forces of drives, springs, dampers and laws of a joint's own position and rate, and couplings
-of two coordinates, which act beside their joints as laws do, but have an energy and a dissipation.  Springs
+of two coordinates, which act beside their joints as laws do, but have an energy and a dissipation (an ideal one has
+neither, and its loads follow from its multiplier).  Springs
 and dampers, those of compliant joints among them, are inside a joint: parts of its load.  Drives and laws act from
 outside it and are not (theory (3.17)).
 """
@@ -19,6 +20,8 @@ from jax import Array
 from jaxtyping import Float
 
 from rfem_jax.mechanics.algebra.vectors import Scalar, dot
+from rfem_jax.mechanics.kinematics.ideal_couplings import ideal_laws, units_of
+from rfem_jax.mechanics.kinematics.motion import Motion
 from rfem_jax.mechanics.laws.couplings import CouplingLaw, Meshing
 from rfem_jax.mechanics.laws.joint_springs import CompliantSpring, diagonal_tangent
 from rfem_jax.mechanics.model.inputs import DriveInput
@@ -94,7 +97,31 @@ def law_forces(actual: ModelWithErrors, state: State) -> LawForces | None:
 
 
 def _couplings(actual: ModelWithErrors) -> dict[str, CouplingLaw]:
-    return {} if actual.forces is None else actual.forces.couplings
+    """The couplings by a mesh."""
+    couplings = {} if actual.forces is None else actual.forces.couplings
+    return {name: one for name, one in couplings.items() if one.stiffness is not None}
+
+
+def with_ideal_couplings(
+    actual: ModelWithErrors,
+    laws: LawForces | None,
+    motion: Motion,
+    multipliers: Float[Array, " constraints"],
+    scale: Scalar,
+) -> LawForces | None:
+    """The forces with those of ideal couplings, whose multipliers [N] are the last; `scale` [m] as in `closure`."""
+    if motion.couplings is None:
+        return laws
+    assert laws is not None, "couplings are among the forces"
+    outside, meshes = dict(laws.outside), dict(laws.couplings or {})
+    first = multipliers.shape[0] - len(actual.topology.ideal)
+    for i, (name, law) in enumerate(ideal_laws(actual).items()):
+        load = multipliers[first + i] * units_of(actual, law, scale)
+        of_both = jnp.stack([motion.couplings.along[k, i] * load for k in law.coordinates])
+        meshes[name] = Meshing(motion.couplings.residual[i], of_both, jnp.zeros(()))
+        for k, one in zip(law.coordinates, of_both):
+            outside[k] = outside[k] + one if k in outside else one
+    return laws._replace(outside=outside, couplings=meshes)
 
 
 def coupling_meshes(actual: ModelWithErrors, state: State) -> dict[str, Meshing]:

@@ -52,14 +52,16 @@ from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 
 class ClosureMatrix(NamedTuple):
-    """Part of the cut joints in the iteration matrix: units, wrenches (6, constraints) of unit multipliers by node;
+    """Part of the closure in the iteration matrix: units, wrenches (6, constraints) of unit multipliers by node;
     responses to them; inverse of the multipliers' matrix; springs: those of compliant cut joints, None for models
-    without them. Friction in cut joints has further columns (theory (12.7))."""
+    without them; joints: with ideal couplings, loads of unit multipliers along the joint coordinates. Friction in cut
+    joints has further columns (theory (12.7))."""
 
     units: dict[int, Float[Array, "6 multipliers"]]
     responses: Response
     inverse: Float[Array, "multipliers multipliers"]
     springs: "SpringRows | None" = None
+    joints: Float[Array, "freedoms multipliers"] | None = None
 
     def solve(self, rows: Array, closing: Array) -> Float[Array, " multipliers"]:
         """Increments of the multipliers for which the closure equations vanish: `rows`, second derivatives of Phi by
@@ -146,9 +148,15 @@ def iteration_matrix(
         units = {node: jnp.concatenate([unit, *of_friction.get(node, ())], axis=1) for node, unit in units.items()}
         columns = topology.n_constraints + len(cut_tangent)
         joint_loads = jnp.zeros((topology.n_freedoms, columns))
+        along = None
+        if cuts.couplings is not None:
+            before, ideal = topology.n_constraints - len(topology.ideal), cuts.couplings.along
+            parts = joint_loads[:, :before], ideal, joint_loads[:, topology.n_constraints :]
+            joint_loads = along = jnp.concatenate(parts, axis=1)
         responses = respond(topology, links, joint_loads, {}, {}, units, columns)
         responses = _with_elements(topology, elements, responses)
-        rows = sum(transposed_product(unit, of_node(topology, responses, node)) for node, unit in units.items())
+        rows = 0.0 if along is None else transposed_product(along, responses.joints)
+        rows = sum((transposed_product(unit, of_node(topology, responses, at)) for at, unit in units.items()), rows)
         if cut_tangent:
             rows = rows + np.diag(np.arange(columns) >= topology.n_constraints).astype(float)
         rows = jnp.asarray(rows)
@@ -157,7 +165,7 @@ def iteration_matrix(
         if left_open is not None:
             left_open = left_open.beside(columns - topology.n_constraints)
         inverse = inverse_closure(rows if springs is None else springs.scaled(), left_open)
-        return IterationMatrix(operators, links, ClosureMatrix(units, responses, inverse, springs), elements)
+        return IterationMatrix(operators, links, ClosureMatrix(units, responses, inverse, springs, along), elements)
 
 
 def _spring_rows(topology: Topology, rows: Array, row_tangent: Array) -> SpringRows:
@@ -236,8 +244,9 @@ def increment_and_wrenches(
         response = jax.tree.map(lambda x: x[:, 0], applied)
         multipliers = jnp.zeros_like(residual.closing)
         if matrix.closure is not None:
-            units, by_multipliers = matrix.closure.units, matrix.closure.responses
-            rows = sum(apply_transposed(unit, of_node(topology, response, node)) for node, unit in units.items())
+            units, by_multipliers, along = matrix.closure.units, matrix.closure.responses, matrix.closure.joints
+            rows = 0.0 if along is None else apply_transposed(along, response.joints)
+            rows = sum((apply_transposed(unit, of_node(topology, response, at)) for at, unit in units.items()), rows)
             closing = residual.closing
             if (more := matrix.closure.inverse.shape[0] - topology.n_constraints) > 0:
                 closing = jnp.concatenate([closing, jnp.zeros(more)])

@@ -24,7 +24,13 @@ from rfem_jax.mechanics.dynamics.dynamics import total_dissipated
 from rfem_jax.mechanics.elements.elasticity import dissipated_power, generalised_forces
 from rfem_jax.mechanics.forces.element_loads import FrameLoads, frame_loads
 from rfem_jax.mechanics.forces.friction import Ahead, cut_forces, cut_friction, tree_friction, with_friction
-from rfem_jax.mechanics.forces.joint_forces import LawForces, applied_forces, by_coordinate, law_forces
+from rfem_jax.mechanics.forces.joint_forces import (
+    LawForces,
+    applied_forces,
+    by_coordinate,
+    law_forces,
+    with_ideal_couplings,
+)
 from rfem_jax.mechanics.kinematics.cut_joints import Closure, closure, spring_residual
 from rfem_jax.mechanics.kinematics.motion import Motion, by_freedom, motion_of, spread
 from rfem_jax.mechanics.kinematics.self_stress import redundancy
@@ -129,8 +135,7 @@ def evaluate_residual(
     is taken later, None for not.
     """
     with jax.named_scope("residual"):
-        topology = actual.topology
-        n = topology.n_links
+        topology, n = actual.topology, actual.topology.n_links
         motion = motion_of(actual, state)
         cuts = closure(actual, motion, scale)
         spatial = spatial_accelerations(actual, motion, state, accelerations)
@@ -143,6 +148,7 @@ def evaluate_residual(
         hinge = -dot(motion.axis, by_freedom(topology, jnp.stack(wrenches[:n], axis=1)))
         in_tree = tree_friction(actual, state, motion, wrenches, later)
         laws = with_friction(actual, law_forces(actual, state), in_cuts | in_tree)
+        laws = with_ideal_couplings(actual, laws, motion, multipliers, scale)
         applied = applied_forces(topology, state.position, drive, laws)
         if applied:
             hinge = hinge + by_coordinate(topology, applied)
@@ -155,7 +161,7 @@ def evaluate_residual(
         if cuts is not None:
             closing = spring_residual(topology, cuts, multipliers, cuts.residual)
             closing_rate = cuts.rate
-            closing_acceleration = cuts.bias + _closing_acceleration(topology, cuts, spatial)
+            closing_acceleration = cuts.bias + _closing_acceleration(topology, cuts, spatial, accelerations)
             closing_acceleration = spring_residual(topology, cuts, multipliers, closing_acceleration)
         return Evaluation(
             hinge=hinge,
@@ -196,6 +202,7 @@ def with_wrenches(
     in_cuts = cut_friction(actual, motion, cuts, multipliers, later)
     in_tree = tree_friction(actual, state, evaluation.motion, wrenches, later)
     laws = with_friction(actual, law_forces(actual, state), in_cuts | in_tree)
+    laws = with_ideal_couplings(actual, laws, motion, multipliers, scale)
     at_nodes = frame_loads(actual, motion, drive.time)
     now = closure(actual, motion, scale)
     of_cuts = loads.cut_wrenches(actual.topology, cuts, multipliers, cut_forces(actual, in_cuts))
@@ -310,7 +317,9 @@ def _interface_loads(
     return jnp.stack(forces, axis=1), jnp.stack(moments, axis=1)
 
 
-def _closing_acceleration(topology: Topology, cuts: Closure, spatial: dict[int, Array]) -> Array:
+def _closing_acceleration(
+    topology: Topology, cuts: Closure, spatial: dict[int, Array], accelerations: Coordinates
+) -> Array:
     """Phi_q q_ddot: powers of the unit multipliers on the spatial accelerations, right side minus left."""
     parts = []
     for i, j in enumerate(topology.cuts):
@@ -327,4 +336,6 @@ def _closing_acceleration(topology: Topology, cuts: Closure, spatial: dict[int, 
                 about_axes = dot(group.couples[:, :, place], angular[:, None])
                 total = total + sign * jnp.concatenate([along, about_axes])
         parts.append(total)
+    if cuts.couplings is not None:
+        parts.append(apply_transposed(cuts.couplings.along, accelerations.joints))
     return jnp.concatenate(parts)

@@ -26,6 +26,7 @@ from jaxtyping import Float
 from rfem_jax.description.basics.joint_kinds import KINDS, JointKind
 from rfem_jax.mechanics.algebra import vectors
 from rfem_jax.mechanics.algebra.vectors import Scalar, apply, apply_transposed, cross, dot, product
+from rfem_jax.mechanics.kinematics.ideal_couplings import CouplingRows
 from rfem_jax.mechanics.kinematics.motion import Motion, node_frames
 from rfem_jax.mechanics.laws.joint_springs import CompliantSpring, diagonal_tangent
 from rfem_jax.mechanics.model.model import Topology
@@ -96,7 +97,8 @@ class Closure(NamedTuple):
     joints' centres on P; alignment (C,): above 0 where a joint is closed as it is built, below 0 where its axes
     point in opposite directions (theory (5.11), (5.16)); angle (C,) [rad]: from L to P about y of L; springs: what the
     springs of compliant joints exert, None without any; scale [m]: by which equations of axes are multiplied, None
-    where the least of redundant reactions are not asked for.
+    where the least of redundant reactions are not asked for; couplings: equations [m] of ideal couplings, which come
+    last, None without any.
     """
 
     groups: tuple[Constraints, ...]
@@ -107,6 +109,7 @@ class Closure(NamedTuple):
     angle: Float[Array, " cuts"]
     springs: "SpringMultipliers | None" = None
     scale: Float[Array, ""] | None = None
+    couplings: CouplingRows | None = None
 
     @property
     def sprung_rows(self) -> tuple[bool, ...]:
@@ -114,25 +117,28 @@ class Closure(NamedTuple):
         if self.springs is None:
             return ()
         by_cut = {i: group.sprung or (False,) * group.residual.shape[0] for group in self.groups for i in group.members}
-        return tuple(row for i in sorted(by_cut) for row in by_cut[i])
+        coupled = 0 if self.couplings is None else self.couplings.residual.shape[0]
+        return (*(row for i in sorted(by_cut) for row in by_cut[i]), *(False for _ in range(coupled)))
 
     @property
     def residual(self) -> Float[Array, " constraints"]:
-        """Phi [m], cut by cut."""
-        return self._cut_by_cut([group.residual for group in self.groups])
+        """Phi [m], cut by cut, then of ideal couplings."""
+        return self._cut_by_cut([group.residual for group in self.groups], "residual")
 
     @property
     def rate(self) -> Float[Array, " constraints"]:
         """The rate of Phi [m/s]."""
-        return self._cut_by_cut([group.rate for group in self.groups])
+        return self._cut_by_cut([group.rate for group in self.groups], "rate")
 
     @property
     def bias(self) -> Float[Array, " constraints"]:
         """(Phi_q)_dot q_dot [m/s^2]."""
-        return self._cut_by_cut([group.bias for group in self.groups])
+        return self._cut_by_cut([group.bias for group in self.groups], "bias")
 
     def by_group(self, multipliers: Float[Array, " constraints"]) -> list[Float[Array, "rows n"]]:
-        """Rows of all closure equations, joints of a kind side by side."""
+        """Rows of the closure equations of cut joints, joints of a kind side by side."""
+        if self.couplings is not None:
+            multipliers = multipliers[: multipliers.shape[0] - self.couplings.residual.shape[0]]
         if len(self.groups) == 1:
             (group,) = self.groups
             return [jnp.swapaxes(multipliers.reshape(len(group.members), -1), 0, 1)]
@@ -152,11 +158,13 @@ class Closure(NamedTuple):
         group, place = self.place_of(cut)
         return group.wrenches(place, side, point)
 
-    def _cut_by_cut(self, parts: list[Array]) -> Array:
-        """Rows (r, n) of all groups as one vector, all of the first cut joint first."""
-        if len(parts) == 1:
-            return jnp.swapaxes(parts[0], 0, 1).reshape(-1)
-        return jnp.concatenate(_ordered_columns(self.groups, parts))
+    def _cut_by_cut(self, parts: list[Array], of_couplings: str) -> Array:
+        """Rows (r, n) of all groups as one vector, all of the first cut joint first, and the field of the couplings."""
+        single = len(parts) == 1
+        rows = [jnp.swapaxes(parts[0], 0, 1).reshape(-1)] if single else _ordered_columns(self.groups, parts)
+        if self.couplings is not None:
+            rows = [*rows, getattr(self.couplings, of_couplings)]
+        return rows[0] if len(rows) == 1 else jnp.concatenate(rows)
 
 
 def _ordered_columns(groups: Sequence[Constraints], parts: Sequence[Array]) -> list[Array]:
@@ -184,10 +192,16 @@ class _Side(NamedTuple):
 
 @jax.jit  # traced once for all its places
 def closure(actual: ModelWithErrors, motion: Motion, scale: Scalar) -> Closure | None:
-    """Constraints of all cut joints (None without any); `scale` [m] multiplies the equations of axes."""
+    """Constraints of all cut joints and ideal couplings (None without any); `scale` [m] multiplies the equations of
+    axes, and of couplings at angles."""
     topology = actual.topology
-    if topology.n_cuts == 0:
+    couplings = None if motion.couplings is None else motion.couplings.in_metres(actual, scale)
+    least = jnp.asarray(scale) if topology.minimum_norm else None
+    if topology.n_cuts == 0 and couplings is None:
         return None
+    if topology.n_cuts == 0:
+        none = jnp.zeros((3, 0))
+        return Closure((), jnp.zeros((3, 3, 0)), none, none, none[0], none[0], scale=least, couplings=couplings)
     with jax.named_scope("closure"):
         n, c = topology.n_links, topology.n_cuts
         nodes = topology.parents[n:] + topology.children[n:]
@@ -222,7 +236,8 @@ def closure(actual: ModelWithErrors, motion: Motion, scale: Scalar) -> Closure |
             right_centre=right.centre,
             alignment=columns(groups, alignment),
             angle=jnp.arctan2(-x[2], x[0]),
-            scale=jnp.asarray(scale) if topology.minimum_norm else None,
+            scale=least,
+            couplings=couplings,
         )
         return cuts._replace(springs=_spring_multipliers(actual, cuts, scale)) if topology.sprung_rows else cuts
 
@@ -381,4 +396,6 @@ def unit_columns(
         if node == topology.parents[j]:
             unit = unit - cuts.wrenches(i, "parent", point)
         columns.append(unit)
+    if topology.ideal:  # they act along joint coordinates alone
+        columns.append(jnp.zeros((6, len(topology.ideal))))
     return jnp.concatenate(columns, axis=1)

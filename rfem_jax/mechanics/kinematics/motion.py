@@ -23,6 +23,7 @@ from jaxtyping import Float
 from rfem_jax.mechanics.algebra import vectors
 from rfem_jax.mechanics.algebra.reordering import repeat, sum_groups
 from rfem_jax.mechanics.algebra.vectors import apply, columns, cross, product, scaled
+from rfem_jax.mechanics.kinematics.ideal_couplings import CouplingRows, coupling_rows
 from rfem_jax.mechanics.model.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model.orientations import rotation_of
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
@@ -69,7 +70,8 @@ class Motion(NamedTuple):
 
     relative: of the free rfes in their link frames; links: frames of the L links (rfes 0); interfaces: of the
     free rfes that carry a joint; hinges: frames H of the tree joints, where the child is; axis (6, F): spatial
-    axes of the joint coordinates; axis_velocity (6, F): of the frames that these axes are fixed in.
+    axes of the joint coordinates; axis_velocity (6, F): of the frames that these axes are fixed in; couplings: the
+    equations of ideal couplings, None without any.
     """
 
     relative: RelativeMotion
@@ -78,6 +80,7 @@ class Motion(NamedTuple):
     hinges: HingeFrames
     axis: Float[Array, "6 freedoms"]
     axis_velocity: Float[Array, "6 freedoms"]
+    couplings: CouplingRows | None = None
 
 
 @jax.jit  # traced once for all its places
@@ -101,6 +104,7 @@ def motion_of(actual: ModelWithErrors, state: State) -> Motion:
             hinges=HingeFrames(*(jnp.stack(part, axis=-1) for part in zip(*(joint.hinge for joint in joints)))),
             axis=_spatial_columns([axis for joint in joints for axis in joint.axes]),
             axis_velocity=_spatial_columns([velocity for joint in joints for velocity in joint.velocities]),
+            couplings=coupling_rows(actual, state),
         )
 
 

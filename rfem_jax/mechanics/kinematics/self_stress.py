@@ -69,7 +69,7 @@ def redundancy(topology: Topology, motion: Motion, cuts: Closure | None) -> Redu
         return None
     with jax.named_scope("redundancy"):
         wrenches = _unit_wrenches(topology, cuts)
-        work = _work(topology, motion, wrenches, cuts.scale)
+        work = _work(topology, motion, wrenches, cuts, cuts.scale)
         unit = jnp.eye(work.shape[1])
         onto = pseudo_inverse(work, SMALLEST_SINGULAR_VALUE) @ work
         found = unit - 0.5 * (onto + onto.T)
@@ -131,11 +131,17 @@ def _passed_on(topology: Topology, wrenches: Mapping[int, Array], nodes: Sequenc
     return total
 
 
-def _work(topology: Topology, motion: Motion, wrenches: Sequence[Array], scale: Array) -> Float[Array, "rows c"]:
+def _work(
+    topology: Topology, motion: Motion, wrenches: Sequence[Array], cuts: Closure, scale: Array
+) -> Float[Array, "rows c"]:
     """Work of unit multipliers along every coordinate of the tree joints and of the free rfes that carry joints, angles
     over the longest link; the laws of springs are no constraints and have rows of their own."""
     units = jnp.where(np.array(topology.slides, dtype=bool), 1.0, 1.0 / scale)
-    rows = [units[k] * (motion.axis[:, k] @ wrenches[l])[None] for k, l in enumerate(topology.link_of_freedom)]
+    along = [motion.axis[:, k] @ wrenches[l] for k, l in enumerate(topology.link_of_freedom)]
+    if (couplings := cuts.couplings) is not None:
+        before = jnp.zeros(topology.n_constraints - len(topology.ideal))
+        along = [work - jnp.concatenate([before, load]) for work, load in zip(along, couplings.along, strict=True)]
+    rows = [units[k] * work[None] for k, work in enumerate(along)]
     for i, rfe in enumerate(topology.interfaces):
         there = _passed_on(topology, dict(enumerate(wrenches)), [topology.n_links + rfe])
         about = there[:3] - cross(motion.interfaces.point[:, i, None], there[3:])

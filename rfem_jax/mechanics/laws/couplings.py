@@ -53,7 +53,8 @@ class TableTransmission(Transmission):
         if self.periodic:
             period = x[-1] - x[0]
             position = position - period * jnp.floor((position - x[0]) / period)
-        inside = jnp.clip(position, x[0], x[-1])
+        # Not by `clip`, whose derivative is a half at the ends.
+        inside = jnp.where(position < x[0], x[0], jnp.where(position > x[-1], x[-1], position))
         last = x.shape[0] - 2
         # Comparisons and sums, no search: it is a loop, and gathers are slow in compiled loops.
         row = jnp.clip(jnp.sum(inside >= x) - 1, 0, last) == jnp.arange(last + 1)
@@ -80,15 +81,16 @@ class Meshing(NamedTuple):
 class CouplingLaw(eqx.Module):
     """A mesh between two joint coordinates.
 
-    coordinates, places: indices of q_a and q_b among the rates and in the position of the tree joints; offset: None
-    before the start positions are known, of which it is then made; gap: half the backlash; chi: of flanks that only
-    push, None without any; waves: None where q_a does not turn.
+    coordinates, places: indices of q_a and q_b among the rates and in the position of the tree joints; stiffness: None
+    of an ideal coupling, which is a constraint and no mesh (`kinematics.ideal_couplings`); offset: None before the
+    start positions are known, of which it is then made; gap: half the backlash; chi: of flanks that only push, None
+    without any; waves: None where q_a does not turn.
     """
 
     coordinates: tuple[int, int] = eqx.field(static=True)
     places: tuple[int, int] = eqx.field(static=True)
     transmission: Transmission
-    stiffness: Float[Array, ""]
+    stiffness: Float[Array, ""] | None
     damping: Float[Array, ""]
     pitch_error: Float[Array, ""]
     eccentricity: Float[Array, ""]
@@ -129,6 +131,7 @@ class CouplingLaw(eqx.Module):
 
     def load(self, deflection: Float[Array, ""], rate: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
         """Load [N m, N] along q_b, and its elastic part."""
+        assert self.stiffness is not None, "an ideal coupling has no mesh"
         if self.gap is None:
             elastic = -self.stiffness * deflection
             return elastic - self.damping * rate, elastic
@@ -141,6 +144,7 @@ class CouplingLaw(eqx.Module):
 
     def energy(self, positions: Float[Array, "2"]) -> Float[Array, ""]:
         """Potential energy [J], zero without load."""
+        assert self.stiffness is not None, "an ideal coupling has no mesh"
         deflection = self.deflection(positions)
         if self.gap is None:
             return 0.5 * self.stiffness * deflection**2
@@ -173,7 +177,7 @@ def coupling_law(coupling: Coupling, coordinates: tuple[int, int], places: tuple
         coordinates=coordinates,
         places=places,
         transmission=_transmission(coupling),
-        stiffness=array(coupling.stiffness),
+        stiffness=None if coupling.stiffness is None else array(coupling.stiffness),
         damping=array(coupling.damping),
         pitch_error=array(coupling.pitch_error),
         eccentricity=array(coupling.eccentricity),

@@ -113,7 +113,8 @@ def closures(
             change[changed] = units[changed] * generator.uniform(-np.pi, np.pi, len(changed)) * (n > 0)
             closed = close(moved(topology, start, change))
             if good(closed):
-                closed = closed._replace(joints=_wrapped(topology, closed.joints, free))
+                alone = [k for k in free if k not in topology.coupled]  # another turn would be another mesh
+                closed = closed._replace(joints=_wrapped(topology, closed.joints, alone))
                 if all(_apart(geometry, closed, one) for one in found):
                     found.append(closed)
                     if enough(closed):

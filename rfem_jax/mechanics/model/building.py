@@ -73,6 +73,7 @@ def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], 
     _require_first_rfes(joints[: len(links)], children)
     masses = [(i, mass) for i, link in enumerate(links) for mass in _masses_of(link)]
     acted = _force_nodes(mechanism, discretised)
+    ideal = [one for one in mechanism.couplings if one.ideal]
     followed = ((one.name, (discretised.attach(one.link, one.place, False).node,)) for one in parts.points)
     topology = Topology(
         links=tuple(link.name for link in links),
@@ -95,6 +96,8 @@ def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], 
         settles=mechanism.start == EQUILIBRIUM,
         plane=mechanism.plane,
         massless=tuple(i for i, link in enumerate(links) if link.mass == 0.0),
+        ideal=tuple(one.name for one in ideal),
+        coupled=tuple(sorted({_coordinate(joints, *motion) for one in ideal for motion in one.coordinates})),
     )
     return PartStructure(topology, (*acted, *followed), any(any(mass.products) for _, mass in masses))
 

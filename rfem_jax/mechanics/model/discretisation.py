@@ -19,7 +19,7 @@ from rfem_jax.mechanics.laws.joint_laws import holds
 from rfem_jax.mechanics.laws.point_laws import PointLaw
 from rfem_jax.mechanics.model.assembly_modes import Closed, chosen_closure, is_far
 from rfem_jax.mechanics.model.building import build_model, reaction_length
-from rfem_jax.mechanics.model.model import BASE, Model, Topology
+from rfem_jax.mechanics.model.model import BASE, Model, Topology, at_closing
 from rfem_jax.mechanics.model.nominal_geometry import (
     NominalGeometry,
     Placed,
@@ -42,6 +42,7 @@ from rfem_jax.mechanics.model.warmth import growths
 
 SMALLEST_DISTANCE = 1e-9  # of two points with a force between them, of the longest link
 IDLE_TOLERANCE = 1e-3  # of a motion of size one
+UNDECIDED = 1e-6  # share of an ideal coupling in loads that nothing decides
 ROUNDING = 1e-12  # of the longest link: of loops that close
 SMALLEST_CHANGE = 1e-10  # of an equation of loops that a joint can be moved for, relative
 
@@ -103,6 +104,7 @@ def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | No
     modes = {one.name: one.mode for one in mechanism.cut_joints if one.mode}
     model = _closed_as_given(_close(built, modes, _about_warmth(mechanism)), np.asarray(built.start_joints))
     _require_apart(model)
+    _require_needed(model)
     structure = describe(model)
     topology = with_start_freedoms(_with_idle(model), _rates_given(model, mechanism))
     model = dataclasses.replace(model, topology=topology)
@@ -142,14 +144,16 @@ def _with_idle(model: Model) -> Model:
 def _closed_as_given(model: Model, given: Float[np.ndarray, " numbers"]) -> Model:
     """The closed model, closed once more from the start that the description gives: coordinates that stand for freedoms
     without a drive keep their values, if the loops close so as well."""
-    if model.topology.n_cuts == 0:
+    of_start = at_closing(model)
+    if of_start.topology.n_constraints == 0:
         return model
     topology = with_start_freedoms(_with_idle(model), {})
     chosen = tuple(k for k in topology.undriven if k not in topology.idle)
     if not chosen:
         return model
-    joints, residual, alignment, cuts = close_at(model, given, (*topology.held, *chosen))
-    before = np.abs(gaps(geometry_of(model), place(geometry_of(model), np.asarray(model.start_joints))).residual).max()
+    joints, residual, alignment, cuts = close_at(of_start, given, (*topology.held, *chosen))
+    geometry = geometry_of(of_start)
+    before = np.abs(gaps(geometry, place(geometry, np.asarray(model.start_joints))).residual).max()
     if not np.abs(residual).max() <= max(2.0 * before, ROUNDING) or (alignment < 0.0).any():
         return model
     return dataclasses.replace(model, start_joints=jnp.asarray(joints), cut_angles=jnp.asarray(cuts))
@@ -190,6 +194,23 @@ def _require_apart(model: Model) -> None:
             raise InputError(
                 f"Argument `points` of force {name!r} must lie apart at the start, but coincide: a force along their "
                 "line has no direction there; move one of them, or take a force at a joint."
+            )
+
+
+def _require_needed(model: Model) -> None:
+    """Raise InputError for an ideal coupling that says what others, or the loops, say already, so that its load is
+    undecided."""
+    topology, geometry = model.topology, geometry_of(model)
+    if not topology.ideal:
+        return
+    placed = place(geometry, np.asarray(model.start_joints))
+    undecided = null_space(closure_jacobian(geometry, placed, rigid=False).T)[-len(topology.ideal) :]
+    for name, row in zip(topology.ideal, undecided, strict=True):
+        if np.abs(row).max(initial=0.0) > UNDECIDED:
+            raise InputError(
+                f"Argument `stiffness` of coupling {name!r} must be given, since without it the coupling is ideal and "
+                "says what others, or the loops, say already, so that its load is undecided; give the stiffness of "
+                "its mesh, or leave the coupling out."
             )
 
 
@@ -250,7 +271,7 @@ def _idle_coordinates(model: Model) -> dict[int, str]:
     # A freedom that a spring holds is not idle.
     held = [*(law.coordinate for law in laws if holds(law)), *topology.sprung_coordinates]
     sprung = [np.eye(topology.n_freedoms)[held]]
-    for coupling in (model.couplings or {}).values():
+    for coupling in (one for one in (model.couplings or {}).values() if one.stiffness is not None):
         positions = jnp.asarray(model.start_joints)[np.array(coupling.places)]
         direction = coupling.starting_at(model.start_joints).tangent(positions, jnp.zeros(2), 1.0, 0.0)[0]
         sprung.append(np.asarray(direction) @ np.eye(topology.n_freedoms)[list(coupling.coordinates)])
@@ -360,6 +381,25 @@ def _about_warmth(mechanism: Mechanism) -> str:
     return " A temperature that bends links is an error of a case, or has a tolerance: give it there."
 
 
+def _stays_open(model: Model, residual: Float[np.ndarray, " constraints"], hint: str) -> InputError:
+    """Which loop, or ideal coupling, stays open the most."""
+    topology, size, row = model.topology, float(np.abs(residual).max()), int(np.abs(residual).argmax())
+    joint = next((topology.joints[j] for j, rows in zip(topology.cuts, topology.constraints) if row in rows), None)
+    if joint is None:
+        name = topology.ideal[row - topology.n_constraints]
+        turns = not topology.slides[(model.couplings or {})[name].coordinates[1]]
+        gap = f"{np.degrees(size):.3g} deg" if turns else f"{size * float(np.max(model.length)):.3g} m"
+        return InputError(
+            f"Argument `mechanism` must close at its start, but coupling {name!r} stays apart by {gap}; check its "
+            "`offset` and the start values of its joints, or leave `offset` out, which then is that of the start."
+        )
+    return InputError(
+        f"Argument `mechanism` must close at its start, but joint {joint!r} stays open by "
+        f"{size * float(np.max(model.length)):.3g} m with every link rigid; check lengths, positions and start angles "
+        f"(all but the driven one are refined, and other starts were tried).{hint}"
+    )
+
+
 def _is_closed(closed: Closed) -> bool:
     """Whether the loops are closed, with all axes alike."""
     return bool(np.abs(closed.residual).max() < CLOSING_TOLERANCE and (closed.alignment >= 0.0).all())
@@ -367,16 +407,17 @@ def _is_closed(closed: Closed) -> bool:
 
 def _close(model: Model, modes: dict[str, str], hint: str) -> Model:
     """Close the nominal rigid loops at the start, or say why they cannot close; `modes` of the loops, by cut joints."""
-    topology = model.topology
-    if topology.n_cuts == 0:
+    if model.topology.n_constraints == 0:
         return model
-    if len(topology.drives) > 1:
-        closed = close_at(model, np.asarray(model.start_joints), topology.drives[:1])[0]
-        topology = _with_dependent_drives(model, closed)
-        model = dataclasses.replace(model, topology=topology)
-    closed = Closed(*close_at(model, np.asarray(model.start_joints)))
-    if modes or not np.abs(closed.residual).max() < CLOSING_TOLERANCE or is_far(model, closed):
-        chosen = chosen_closure(model, lambda start: Closed(*close_at(model, start)), _is_closed, modes)
+    if len(model.topology.drives) > 1:
+        closed = close_at(at_closing(model), np.asarray(model.start_joints), model.topology.drives[:1])[0]
+        model = dataclasses.replace(model, topology=_with_dependent_drives(model, closed))
+    of_start, topology = at_closing(model), model.topology
+    if of_start.topology.n_constraints == 0:
+        return model
+    closed = Closed(*close_at(of_start, np.asarray(model.start_joints)))
+    if modes or not np.abs(closed.residual).max() < CLOSING_TOLERANCE or is_far(of_start, closed):
+        chosen = chosen_closure(of_start, lambda start: Closed(*close_at(of_start, start)), _is_closed, modes)
         if chosen is None and modes and np.abs(closed.residual).max() < CLOSING_TOLERANCE:
             words = " and ".join(f"`{name}` {mode}" for name, mode in modes.items())
             raise InputError(
@@ -386,14 +427,7 @@ def _close(model: Model, modes: dict[str, str], hint: str) -> Model:
         closed = closed if chosen is None else chosen
     joints, residual, alignment, cut_angles = closed
     if not np.abs(residual).max() < CLOSING_TOLERANCE:
-        gap = np.abs(residual).max() * float(np.max(model.length))
-        row = int(np.abs(residual).argmax())
-        worst = next(topology.joints[j] for j, rows in zip(topology.cuts, topology.constraints) if row in rows)
-        raise InputError(
-            f"Argument `mechanism` must close at its start, but joint {worst!r} stays open by "
-            f"{gap:.3g} m with every link rigid; check lengths, positions and start angles (all "
-            f"but the driven one are refined, and other starts were tried).{hint}"
-        )
+        raise _stays_open(of_start, residual, hint)
     if (alignment < 0.0).any():
         worst = topology.n_links + int(alignment.argmin())
         axes = "hinge axes" if topology.kinds[worst] == "revolute" else f"frames ({topology.kinds[worst]})"

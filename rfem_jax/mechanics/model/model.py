@@ -16,6 +16,7 @@ components first (see `algebra`).
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -101,6 +102,8 @@ class Topology(NamedTuple):
     across: what the loads across the plane of planar rigid loops are where nothing else was asked for
         (`planar_loops.reactions_across`), "" for other mechanisms.
     plane: "xz" or "xy", in which the description has planar mechanisms.
+    ideal: names of the ideal couplings, whose equations come after those of the cut joints; coupled: the joint
+        coordinates of these.
     """
 
     links: tuple[str, ...]
@@ -130,10 +133,12 @@ class Topology(NamedTuple):
     massless: tuple[int, ...] = ()
     across: str = ""
     plane: str = "xz"
+    ideal: tuple[str, ...] = ()
+    coupled: tuple[int, ...] = ()
 
     def renamed(self, names: Names) -> "Topology":
         """With other names."""
-        texts = ("links", "joints", "joint_order", "error_names")
+        texts = ("links", "joints", "joint_order", "error_names", "ideal")
         return self._replace(**{text: tuple(map(names.of, getattr(self, text))) for text in texts})
 
     @property
@@ -187,7 +192,9 @@ class Topology(NamedTuple):
         """For every closure equation of the cut joints whether it is the law of a spring; () for models without such
         springs."""
         rows = [self._sprung_rows(j) for j in self.cuts] if self.sprung else []
-        return tuple(row for joint in rows for row in joint) if any(any(joint) for joint in rows) else ()
+        if not any(any(joint) for joint in rows):
+            return ()
+        return (*(row for joint in rows for row in joint), *(False for _ in self.ideal))
 
     def _sprung_rows(self, cut: int) -> list[bool]:
         """For every closure equation of one cut joint whether it is the law of a spring."""
@@ -303,8 +310,8 @@ class Topology(NamedTuple):
 
     @property
     def n_constraints(self) -> int:
-        """Number of closure equations."""
-        return sum(len(rows) for rows in self.constraints)
+        """Number of closure equations, those of ideal couplings included."""
+        return sum(len(rows) for rows in self.constraints) + len(self.ideal)
 
     @property
     def error_components(self) -> tuple[str, ...]:
@@ -472,6 +479,14 @@ class Model(eqx.Module):
         """Nominal start: closed geometry, undeformed links."""
         elastic = jnp.zeros((6, self.topology.n_rfes))
         return Coordinates(self.start_joints, elastic)
+
+
+def at_closing(model: Model) -> Model:
+    """The model as its start is closed: an ideal coupling whose offset is that of the start says nothing about it."""
+    given = tuple(name for name in model.topology.ideal if (model.couplings or {})[name].offset is not None)
+    if given == model.topology.ideal:
+        return model
+    return replace(model, topology=model.topology._replace(ideal=given))
 
 
 def length_scale(model: Model) -> Float[Array, ""]:

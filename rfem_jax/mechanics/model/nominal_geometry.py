@@ -11,10 +11,13 @@ have "*t", many positions are placed at once.
 
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.description.basics.joint_kinds import JointKind
+from rfem_jax.mechanics.laws.couplings import CouplingLaw
 from rfem_jax.mechanics.model.model import BASE, Model, Topology, rfe_fractions
 
 SMALLEST_SINGULAR_VALUE = 1e-6  # of rows with lengths over the longest link: what is below says nothing
@@ -22,7 +25,8 @@ SMALLEST_SINGULAR_VALUE = 1e-6  # of rows with lengths over the longest link: wh
 
 class NominalGeometry(NamedTuple):
     """Constants of the perfect mechanism: frames of all joints (J, 3, 3), (J, 3) in the nodes of their parents
-    and children; rest (N,) [m]: x of the free rfes' middles in their links; scale [m]: the longest link."""
+    and children; rest (N,) [m]: x of the free rfes' middles in their links; scale [m]: the longest link; couplings:
+    the ideal ones, in the order of their equations."""
 
     topology: Topology
     seat_rotation: Float[np.ndarray, "joints 3 3"]
@@ -31,12 +35,13 @@ class NominalGeometry(NamedTuple):
     bore_position: Float[np.ndarray, "joints 3"]
     rest: Float[np.ndarray, " rfes"]
     scale: float
+    couplings: tuple[CouplingLaw, ...] = ()
 
 
 class Placed(NamedTuple):
     """The mechanism at given joint coordinates: rotation (L, 3, 3) and origin (L, 3) of the links; of all joints the
     joint frame G on the parent (J, 3, 3), without the joint's motion, and its centre (J, 3), and the frame on the
-    child and its centre, likewise; twists (F, 6) of unit rates of the tree joints' coordinates."""
+    child and its centre, likewise; twists (F, 6) of unit rates of the tree joints' coordinates; joints: these."""
 
     rotation: Float[np.ndarray, "*t links 3 3"]
     origin: Float[np.ndarray, "*t links 3"]
@@ -45,6 +50,7 @@ class Placed(NamedTuple):
     child_rotation: Float[np.ndarray, "*t joints 3 3"]
     child_centre: Float[np.ndarray, "*t joints 3"]
     twists: Float[np.ndarray, "*t freedoms 6"]
+    joints: Float[np.ndarray, "*t numbers"]
 
 
 class Gaps(NamedTuple):
@@ -69,7 +75,14 @@ def geometry_of(model: Model) -> NominalGeometry:
         bore_position=np.asarray(model.child_position).T,
         rest=np.concatenate([x * part for x, part in zip(middles, length)]),
         scale=float(length.max()),
+        couplings=_ideal_couplings(model),
     )
+
+
+def _ideal_couplings(model: Model) -> tuple[CouplingLaw, ...]:
+    """The laws of the ideal couplings, with their offsets at the start."""
+    with jax.ensure_compile_time_eval():
+        return tuple((model.couplings or {})[name].starting_at(model.start_joints) for name in model.topology.ideal)
 
 
 def place(geometry: NominalGeometry, coordinates: Float[np.ndarray, "*t numbers"]) -> Placed:
@@ -116,7 +129,7 @@ def place(geometry: NominalGeometry, coordinates: Float[np.ndarray, "*t numbers"
         node_rotation, point = frame(topology.children[j])
         child_rotation[..., j, :, :] = node_rotation @ geometry.bore_rotation[j]
         child_centre[..., j, :] = point + node_rotation @ geometry.bore_position[j]
-    return Placed(rotation, origin, joint_rotation, centre, child_rotation, child_centre, twists)
+    return Placed(rotation, origin, joint_rotation, centre, child_rotation, child_centre, twists, coordinates)
 
 
 def _rotation_about(axis: int, angle: Float[np.ndarray, "*t"]) -> Float[np.ndarray, "*t 3 3"]:
@@ -156,7 +169,8 @@ def moved(
 
 
 def gaps(geometry: NominalGeometry, placed: Placed) -> Gaps:
-    """The equations of all cut joints (`cut_joints`, theory (5.1), (5.14), (5.15)), of the kinds without springs."""
+    """The equations of all cut joints (`cut_joints`, theory (5.1), (5.14), (5.15)), of the kinds without springs, and
+    those of ideal couplings."""
     topology, n = geometry.topology, geometry.topology.n_links
     batch = placed.centre.shape[:-2]
     residual, alignment = [np.zeros((*batch, 0))], np.zeros((*batch, topology.n_cuts))
@@ -169,7 +183,21 @@ def gaps(geometry: NominalGeometry, placed: Placed) -> Gaps:
         residual += [products[..., i, j, None] for i, j in kind.perpendicular]
         alignment[..., i] = _alignment(kind, products)
     x = np.einsum("...cij,...ci->...cj", placed.joint_rotation[..., n:, :, :], placed.child_rotation[..., n:, :, 0])
+    residual += [_coupling_gap(geometry, law, placed.joints)[0][..., None] for law in geometry.couplings]
     return Gaps(np.concatenate(residual, axis=-1), alignment, np.arctan2(-x[..., 2], x[..., 0]))
+
+
+def _coupling_gap(
+    geometry: NominalGeometry, law: CouplingLaw, joints: Float[np.ndarray, "*t numbers"]
+) -> tuple[Float[np.ndarray, "*t"], Float[np.ndarray, "*t"]]:
+    """g of an ideal coupling, a length over the longest link, and its derivative by its first coordinate."""
+    assert law.offset is not None, "couplings of a geometry have one"
+    first, second = (joints[..., k] for k in law.places)
+    with jax.ensure_compile_time_eval():
+        value, slope = jax.vmap(law.transmitted)(jnp.asarray(first.reshape(-1)))
+    unit = geometry.scale if geometry.topology.slides[law.coordinates[1]] else 1.0
+    value, slope = (np.asarray(one).reshape(first.shape) for one in (value, slope))
+    return (second - value - float(law.offset)) / unit, -slope / unit
 
 
 def _alignment(kind: JointKind, products: Float[np.ndarray, "*t 3 3"]) -> Float[np.ndarray, "*t"]:
@@ -226,7 +254,8 @@ def closure_jacobian(
     topology = geometry.topology
     n, freedoms = topology.n_links, topology.n_freedoms
     sides = closure_rows(geometry, placed, rigid)
-    jacobian = np.zeros((sum(len(left) for left, _ in sides), freedoms + 6 * topology.n_rfes))
+    rows = sum(len(left) for left, _ in sides) + len(geometry.couplings)
+    jacobian = np.zeros((rows, freedoms + 6 * topology.n_rfes))
     units = joint_units(geometry)
     stop = 0
     for joint, (left, right) in zip(topology.cuts, sides, strict=True):
@@ -241,6 +270,10 @@ def closure_jacobian(
                 for k in topology.coordinates[link]:
                     block[:, k] += units[k] * (rows @ placed.twists[k])
                 node = topology.parents[link]
+    for row, law in zip(jacobian[stop:], geometry.couplings, strict=True):
+        (first, second), of_second = law.coordinates, geometry.topology.slides[law.coordinates[1]]
+        row[first] += units[first] * float(_coupling_gap(geometry, law, placed.joints)[1])
+        row[second] += units[second] / (geometry.scale if of_second else 1.0)
     return jacobian
 
 

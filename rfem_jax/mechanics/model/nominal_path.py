@@ -76,7 +76,7 @@ def nearest_closed(
     topology = geometry.topology
     start = np.array(joints, dtype=float)
     start[:, [topology.place_of(k) for k in topology.sprung_coordinates]] = 0.0
-    if topology.n_cuts == 0:
+    if topology.n_constraints == 0:
         return start
     closed, left = _close(geometry, start, topology.held)
     again = ~(left < CLOSED)

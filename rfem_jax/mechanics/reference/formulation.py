@@ -108,10 +108,17 @@ def transforms(
 def constraints(
     actual: ModelWithErrors, position: Coordinates, scale: Scalar, change: Coordinates | None = None
 ) -> Float[Array, " constraints"]:
-    """Theory (5.1), (5.14), (5.15) for all cut joints [m]; `scale` [m] multiplies the equations of the axes."""
+    """Theory (5.1), (5.14), (5.15) for all cut joints [m], and (16.7) for ideal couplings; `scale` [m] multiplies the
+    equations of the axes and of coupled angles."""
     topology = actual.topology
     frames = transforms(actual, position, change)
     rows = [joint_rows(topology.kind(j), *joint_frames(actual, frames, j), scale) for j in topology.cuts]
+    joints = position.joints if change is None else _changed(topology, position, change).joints
+    for name in topology.ideal:
+        assert actual.forces is not None, "couplings are among the forces"
+        law = actual.forces.couplings[name]
+        apart = law.deflection(joints[np.array(law.places)])
+        rows.append(jnp.reshape(apart if topology.slides[law.coordinates[1]] else scale * apart, (1,)))
     return jnp.concatenate(rows) if rows else jnp.zeros(0)
 
 
@@ -194,7 +201,7 @@ def _coupling_forces(
     """Generalised forces of couplings: the work of their loads along the coordinates' deflections."""
     assert actual.forces is not None, "couplings are among the forces"
     still, total = jnp.zeros_like(qd), jnp.zeros_like(qd)
-    for coupling in actual.forces.couplings.values():
+    for coupling in (one for one in actual.forces.couplings.values() if one.stiffness is not None):
 
         def deflection(q, coupling=coupling):
             joints = _changed(actual.topology, state.position, unravel(q)).joints

@@ -41,6 +41,7 @@ from rfem_jax.mechanics.forces.joint_forces import (
     law_forces,
     law_tangent,
     loads_about_parent_axes,
+    with_ideal_couplings,
 )
 from rfem_jax.mechanics.implicit.residual import Residual
 from rfem_jax.mechanics.kinematics.cut_joints import Closure, closure, spring_residual, spring_row_tangent
@@ -472,7 +473,8 @@ def _static_residual(
     force, moment = loads.loads_beyond_elements(inertial, frame_loads(actual, motion, None))
     wrenches = loads.chain_wrenches(actual, motion, cuts, multipliers, (force, moment))
     hinge = dot(motion.axis, by_freedom(topology, jnp.stack(wrenches[:n], axis=1)))
-    applied = applied_forces(topology, position, DriveInput(), law_forces(actual, state))
+    laws = with_ideal_couplings(actual, law_forces(actual, state), motion, multipliers, scale)
+    applied = applied_forces(topology, position, DriveInput(), laws)
     if applied:
         hinge = loads_about_parent_axes(topology, position, hinge - by_coordinate(topology, applied))
     force, moment = -force[:, n:], -moment[:, n:]
@@ -508,9 +510,10 @@ def closed_at_rest(
     model: Model, actual: ModelWithErrors, state: State, multipliers: Float[Array, " constraints"]
 ) -> loads.Resting:
     """Motion and closure of a mechanism at rest, from which its loads follow."""
-    motion = motion_of(actual, state)
-    cuts, at_nodes = closure(actual, motion, length_scale(model)), frame_loads(actual, motion, None)
-    return loads.Resting(motion, cuts, multipliers, law_forces(actual, state), at_nodes)
+    motion, scale = motion_of(actual, state), length_scale(model)
+    cuts, at_nodes = closure(actual, motion, scale), frame_loads(actual, motion, None)
+    laws = with_ideal_couplings(actual, law_forces(actual, state), motion, multipliers, scale)
+    return loads.Resting(motion, cuts, multipliers, laws, at_nodes)
 
 
 def named(model: Model, joint_loads: loads.JointLoads) -> dict[str, Load]:

@@ -36,7 +36,7 @@ from rfem_jax.description.study_file.study import Study
 from rfem_jax.mechanics.model.building import PartStructure, arrays_of
 from rfem_jax.mechanics.model.discretisation import discretise
 from rfem_jax.mechanics.model.errors import AssemblyErrors, assembly_errors, require_errors_of, require_possible
-from rfem_jax.mechanics.model.model import BASE, Model, Topology, rfe_fractions
+from rfem_jax.mechanics.model.model import BASE, Model, Topology, at_closing, rfe_fractions
 from rfem_jax.mechanics.model.planar_loops import require_closable
 from rfem_jax.mechanics.model.sources import NOTHING, Blueprint, Source
 from rfem_jax.mechanics.model.status import DESIGN_OUT_OF_RANGE, NOT_CLOSED, OK, STATUS
@@ -278,8 +278,10 @@ def _plan_of(blueprint: Blueprint, topology: Topology, names: tuple[str, ...]) -
         model = jax.tree.map(np.asarray, arrays_of(blueprint.filled(numbers), structure))
     flags = jax.tree.map(lambda x: bool(np.isnan(x).any()), model)
     frames = flags.length, flags.parent_rotation, flags.parent_position, flags.child_rotation, flags.child_position
-    moved = any(frames) or flags.start_joints
-    closes = moved and topology.n_cuts > 0
+    at_start = at_closing(model).topology
+    coupled = [(flags.couplings or {})[name] for name in at_start.ideal]
+    moved = any(frames) or flags.start_joints or any(jax.tree.leaves(coupled))
+    closes = moved and at_start.n_constraints > 0
     elements = jax.tree.leaves(flags.frame_forces)
     flags = replace(flags, start_joints=moved, cut_angles=closes)
     arms = any(frames) or flags.point_position or any(elements)

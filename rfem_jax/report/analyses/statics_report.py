@@ -19,7 +19,7 @@ from rfem_jax.mechanics.model.errors import AssemblyErrors
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.status import STATUS
 from rfem_jax.report.analyses.analysis import errors_of_cases
-from rfem_jax.report.files import contact_columns
+from rfem_jax.report.files import contact_columns, coupling_columns
 from rfem_jax.report.output import write_csv, write_json
 from rfem_jax.report.summary import reaction_norm, study_note
 from rfem_jax.report.tables import title_text
@@ -76,10 +76,10 @@ def write_statics(folder: Path, study: Study, found: LabelledStatics) -> list[Pa
         },
     }  # fmt: skip
     rows = found.rows()
-    contacts = [contact_columns(one.contacts) for one in found.results]
+    more = [contact_columns(one.contacts) | coupling_columns(study, one.couplings) for one in found.results]
     for row in rows:
-        states = contacts[found.cases.index(row["case"])]
-        row |= {name: float(values[row["number"]]) for name, values in states.items()}
+        columns = more[found.cases.index(row["case"])]
+        row |= {name: float(values[row["number"]]) for name, values in columns.items()}
     written = [write_json(folder / "statics.json", content), write_csv(folder / "statics.csv", rows)]
     if sections := found.section_rows():
         written.append(write_csv(folder / "statics_sections.csv", sections))
