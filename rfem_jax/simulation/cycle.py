@@ -88,7 +88,8 @@ def steady_cycle(
     asked, revolution = require_records(model, record), Integration(model, drive, grid, method, steps)
     perfect = _perfect_paths(simulation, tolerance, most) if asks_perfect_path(asked) else {}
     state, conclusion = _revolution(revolution, errors, None, asked, perfect)
-    start, pairs = state, []
+    # Beside the drive, which begins at its start: couplings count whole revolutions.
+    start, pairs = _turned_back(model.topology, _nominal_start(model), state), []
     residual, done = np.inf, 1
     while done < most:
         state, conclusion = _revolution(revolution, errors, start, asked, perfect)
@@ -219,6 +220,11 @@ def _revolution(revolution: Integration, errors, start: State | None, asked, per
     return State(carry.trajectory.position, carry.trajectory.velocity), conclusion
 
 
+def _nominal_start(model: Model) -> State:
+    position = model.start_coordinates()
+    return State(position, jax.tree.map(jnp.zeros_like, position))
+
+
 def _turned_back(topology: Topology, start: State, end: State) -> State:
     """The end of a revolution with angles less whole revolutions."""
     angles = ~np.array(topology.slides, dtype=bool)
@@ -229,8 +235,7 @@ def _turned_back(topology: Topology, start: State, end: State) -> State:
 
 def _residual(topology: Topology, start: State, end: State) -> float:
     """Largest change of displacements, angles and their rates over a revolution, each over the largest of its kind; of
-    joints where no link is flexible."""
-    end = _turned_back(topology, start, end)
+    joints where no link is flexible, whole revolutions counted in what is the largest alone."""
 
     def parts(state: State):
         both = state.position, state.velocity
@@ -238,8 +243,8 @@ def _residual(topology: Topology, start: State, end: State) -> float:
             return [np.asarray(one.joints) for one in both]
         return [np.asarray(rows) for one in both for rows in (one.elastic[:3], one.elastic[3:])]
 
-    pairs = zip(parts(start), parts(end), strict=True)
-    return max(float(np.abs(b - a).max() / max(np.abs(b).max(), 1e-300)) for a, b in pairs)
+    three = zip(parts(start), parts(_turned_back(topology, start, end)), parts(end), strict=True)
+    return max(float(np.abs(b - a).max() / max(np.abs(whole).max(), 1e-300)) for a, b, whole in three)
 
 
 def _numbers(state: State) -> Float[np.ndarray, " n"]:
