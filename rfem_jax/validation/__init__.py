@@ -13,6 +13,7 @@ Place in the pipeline: simulation, mechanics, description -> **validation** -> r
     flexible_slider_crank with an elastic rod, of the test set for initial value problems; flexible_rod_theory, an
                           independent value
     spatial_linkages      spherical, universal, prismatic, cylindrical, fixed joints
+    geared_mechanisms     a geared five-bar
     nonideal_joints       bushings, and friction by constants and by loads
     clearances            pins pressed into bushes, a misaligned four-bar with play, first impacts
     bennett_loop          an overconstrained linkage

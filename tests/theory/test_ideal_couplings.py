@@ -55,6 +55,7 @@ from tests.mechanisms import body
 MOMENT, BOTH = 3.0, ONE + RATIO**2 * TWO  # inertia of both rotors at A
 METHODS = pytest.mark.parametrize("method", [RungeKutta4(step=1e-3), GeneralisedAlpha(step=1e-3), Leapfrog(step=1e-3)],
                                   ids=["rk4", "implicit", "leapfrog"])  # fmt: skip
+TEETH = 20, 16, 52  # of sun, planet and ring
 DRIVE = MomentTable("A", times=[0.0, 1.0], moments=[MOMENT, MOMENT])
 
 
@@ -127,6 +128,13 @@ class TestGearPair:
         found = check_derivatives(second, jnp.asarray([0.5, -0.7]), 1e-5, reverse=1e-12, differences=1e-9)
         np.testing.assert_allclose(found.values, 0.5 - 0.7 * 0.2, rtol=1e-12)
 
+    def test_a_given_offset_beyond_half_a_turn(self):
+        """A start value that is far away is given up, and the coordinate is not taken modulo a turn."""
+        pair = gear_pair(offset=5.0)
+        joints = [dataclasses.replace(joint, angle=0.1 if joint.name == "B" else None) for joint in pair.joints]
+        model = discretise(dataclasses.replace(pair, joints=joints))
+        np.testing.assert_allclose(model.start_joints, [0.0, 5.0], atol=1e-12)
+
     def test_couplings_that_say_the_same_are_refused(self):
         other = Coupling("other", ("B", "A"), ratio=1.0 / RATIO)
         with pytest.raises(InputError, match="`stiffness` of coupling 'mesh' must be given.*load is undecided"):
@@ -162,18 +170,24 @@ def test_a_screw_jack():
     np.testing.assert_allclose(found.preload["G"].force, 0.0, atol=1e-9)
 
 
-def test_a_planetary_train():
-    """Willis' ratio, and the moments of sun, ring and carrier in the ratios of their teeth."""
-    sun, planet, ring, load = 20, 16, 52, 2.0
-    joints = [Joint("C", "base", "carrier"), Joint("S", "carrier", "sun"),
+def planetary(force):
+    """Sun and planet, hung on a carrier whose angle drives, in a ring that stands."""
+    sun, planet, ring = TEETH
+    joints = [Joint("C", "base", "carrier"), Joint("S", "carrier", "sun", position=(0.0, 0.0, 0.0)),
               Joint("P", "carrier", "planet", position=(0.05, 0.0, 0.0))]  # fmt: skip
     forces = [
         Coupling("inner", ("P", "S"), ratio=-planet / sun),
         Coupling("outer", ("C", "P"), ratio=-ring / planet),
-        JointSpring("load", "S", preload=load),
+        force,
     ]
     links = [rotor(name, 1e-3) for name in ("carrier", "sun", "planet")]
-    model = discretise(Mechanism(links, joints, gravity=NO_GRAVITY, driven_joint="C", forces=forces))
+    return discretise(Mechanism(links, joints, gravity=NO_GRAVITY, driven_joint="C", forces=forces))
+
+
+def test_a_planetary_train():
+    """Willis' ratio, and the moments of sun, ring and carrier in the ratios of their teeth."""
+    (sun, planet, ring), load = TEETH, 2.0
+    model = planetary(JointSpring("load", "S", preload=load))
     turn = kinetostatic_turn(model, None, [0.0, 0.3])
     assert (np.asarray(turn.status) == 0).all()
     angles = static_loads(model, positions={"C": [0.3]}).angles
@@ -182,6 +196,17 @@ def test_a_planetary_train():
     np.testing.assert_allclose(turn.holding, -load * ring / sun, rtol=1e-10)
     np.testing.assert_allclose(turn.couplings["inner"][:, 1], -load, rtol=1e-10)
     np.testing.assert_allclose(turn.couplings["outer"][:, 1], load * planet / sun, rtol=1e-10)
+
+
+def test_a_planetary_train_on_a_spring():
+    """The frequency of all inertias at the carrier: as the train's own, and of what moves about it."""
+    (sun, planet, ring), stiffness = TEETH, 7.0
+    model = planetary(JointSpring("spring", "C", stiffness=stiffness))
+    inertia = 1e-3 * (1.0 + (1.0 + ring / sun) ** 2 + (1.0 - ring / planet) ** 2) + 1.0 * 0.05**2
+    rate = np.sqrt(stiffness / inertia)
+    np.testing.assert_allclose(np.max(eigenvalues(model).imag), rate, rtol=1e-6)
+    found = natural_frequencies(model, count=1, locked=False).frequency
+    np.testing.assert_allclose(found, [rate / (2.0 * np.pi)], rtol=1e-9)
 
 
 def potential(two):

@@ -14,6 +14,7 @@ from rfem_jax.validation import (
     clearances,
     flexible_slider_crank,
     force_tables,
+    geared_mechanisms,
     impacts,
     joint_cases,
     joint_tables,
@@ -65,6 +66,12 @@ def test_gas_force():
     at = int(np.argmin(np.abs(np.asarray(run.times) - 0.0261799387799)))
     about_pin = run.loads["G"].moment[at] + np.cross([0.02, 0.0, 0.008], run.loads["G"].force[at])
     np.testing.assert_allclose(about_pin[1], 2.22659110509, rtol=1e-7)
+
+
+def test_gears(monkeypatch):
+    assert_all_pass(geared_mechanisms.lines(geared_mechanisms.run_five_bar()), 24)
+    monkeypatch.setattr(geared_mechanisms, "TURN", 1.00001 * geared_mechanisms.TURN)
+    assert len(failed(geared_mechanisms.lines(geared_mechanisms.run_five_bar()))) > 20
 
 
 def test_spring_and_forces_at_points(monkeypatch):
