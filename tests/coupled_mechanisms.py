@@ -47,10 +47,10 @@ def geared_five_bar(rfes=None, reactions="minimum_norm", **mesh):
     angles, (one, two) = rod_angles(0.0, TURN), (0.0, TURN)
     joints = [
         Joint("A", "base", "one", angle=one),
-        Joint("B", "one", "left", position=(CRANK, 0.0, 0.0), angle=angles[0] - one),
+        Joint("B", "one", "left", angle=angles[0] - one),
         Joint("E", "base", "two", position=(APART, 0.0, 0.0), angle=two),
-        Joint("D", "two", "right", position=(CRANK, 0.0, 0.0), angle=angles[1] - two),
-        Joint("C", "left", "right", position=(ROD, 0.0, 0.0), child_position=(ROD, 0.0, 0.0), cut=True),
+        Joint("D", "two", "right", angle=angles[1] - two),
+        Joint("C", "left", "right", child_position=(ROD, 0.0, 0.0), cut=True),
     ]
     mesh = Coupling("mesh", ("A", "E"), **({"ratio": 1.0} | mesh))
     rigid = {} if rfes else {"redundant_reactions": reactions}

@@ -19,6 +19,7 @@ from rfem_jax import (
     RungeKutta4,
     Simulation,
     assemble,
+    assembly_errors,
     design,
     discretise,
     inverse_dynamics,
@@ -29,6 +30,11 @@ from rfem_jax import (
     static_loads,
     steady_cycle,
 )
+from rfem_jax.mechanics.dynamics.loads import static_state
+from rfem_jax.mechanics.kinematics.cut_joints import closure
+from rfem_jax.mechanics.kinematics.motion import motion_of
+from rfem_jax.mechanics.model.with_errors import apply_errors
+from rfem_jax.simulation.observation import cut_drift
 from rfem_jax.simulation.stability import eigenvalues
 from tests.coupled_mechanisms import (
     CRANK,
@@ -244,6 +250,30 @@ class TestGearedFiveBar:
         )
         assert float(run.checks.energy_balance_error) < 1e-4
         assert float(run.checks.momentum_balance_error) < 1e-9
+
+    def test_both_cranks_keep_their_start(self):
+        """The rods follow rough starts of theirs, and a design of their lengths: it does not turn the gears."""
+        exact = geared_five_bar()
+        rough = {"B": 0.05, "D": -0.03}
+        joints = [
+            dataclasses.replace(joint, angle=joint.angle + rough[joint.name]) if joint.name in rough else joint
+            for joint in exact.joints
+        ]
+        model = discretise(dataclasses.replace(exact, joints=joints))
+        np.testing.assert_allclose(model.start_joints, discretise(exact).start_joints, atol=1e-12)
+        longer = assemble(model, design=design(model, {"left.length": ROD + 0.01}))
+        angles = dict(zip(model.topology.joints, np.asarray(longer.state.position.joints)))
+        assert int(longer.status) == 0 and abs(angles["B"] - float(model.start_joints[2])) > 1e-3
+        np.testing.assert_allclose([angles["A"], angles["E"]], [0.0, TURN], atol=1e-12)
+
+    def test_what_is_apart_is_drift(self):
+        model = discretise(geared_five_bar())
+        actual, scale = apply_errors(model, assembly_errors(model)), 0.2
+        position = model.start_coordinates()
+        state = static_state(model.topology, dataclasses.replace(position, joints=position.joints.at[1].add(0.01)))
+        closed = closure(actual, motion_of(actual, state), scale)
+        # The rod's end moves by 0.01 times some 50 mm, the gears are apart by 0.01 times the scale.
+        np.testing.assert_allclose(cut_drift(closed, scale)[0], 0.01 * scale, rtol=1e-9)
 
     def test_derivatives_of_the_load(self):
         model = discretise(geared_five_bar())

@@ -17,7 +17,7 @@ from rfem_jax.description.mechanism.mechanism import AS_GIVEN, ELEMENTS, EQUILIB
 from rfem_jax.description.parameters.parts import parts_of
 from rfem_jax.mechanics.laws.joint_laws import holds
 from rfem_jax.mechanics.laws.point_laws import PointLaw
-from rfem_jax.mechanics.model.assembly_modes import Closed, chosen_closure, is_far
+from rfem_jax.mechanics.model.assembly_modes import Closed, chosen_closure, given_coordinates, is_far
 from rfem_jax.mechanics.model.building import build_model, reaction_length
 from rfem_jax.mechanics.model.model import BASE, Model, Topology, at_closing
 from rfem_jax.mechanics.model.nominal_geometry import (
@@ -143,20 +143,21 @@ def _with_idle(model: Model) -> Model:
 
 def _closed_as_given(model: Model, given: Float[np.ndarray, " numbers"]) -> Model:
     """The closed model, closed once more from the start that the description gives: coordinates that stand for freedoms
-    without a drive keep their values, if the loops close so as well."""
+    without a drive, and those of ideal couplings, keep their values, if the loops close so as well."""
     of_start = at_closing(model)
     if of_start.topology.n_constraints == 0:
         return model
     topology = with_start_freedoms(_with_idle(model), {})
     chosen = tuple(k for k in topology.undriven if k not in topology.idle)
-    if not chosen:
-        return model
-    joints, residual, alignment, cuts = close_at(of_start, given, (*topology.held, *chosen))
+    coupled = tuple(k for k in given_coordinates(topology, given) if k in topology.coupled and k not in chosen)
     geometry = geometry_of(of_start)
     before = np.abs(gaps(geometry, place(geometry, np.asarray(model.start_joints))).residual).max()
-    if not np.abs(residual).max() <= max(2.0 * before, ROUNDING) or (alignment < 0.0).any():
-        return model
-    return dataclasses.replace(model, start_joints=jnp.asarray(joints), cut_angles=jnp.asarray(cuts))
+    for kept in dict.fromkeys((chosen + coupled, chosen)):
+        if kept:
+            joints, residual, alignment, cuts = close_at(of_start, given, (*topology.held, *kept))
+            if np.abs(residual).max() <= max(2.0 * before, ROUNDING) and not (alignment < 0.0).any():
+                return dataclasses.replace(model, start_joints=jnp.asarray(joints), cut_angles=jnp.asarray(cuts))
+    return model
 
 
 def _rates_given(model: Model, mechanism: Mechanism) -> dict[int, str]:

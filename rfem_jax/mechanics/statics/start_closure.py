@@ -28,7 +28,7 @@ from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.kinematics.cut_joints import Closure, closure
 from rfem_jax.mechanics.kinematics.motion import motion_of
 from rfem_jax.mechanics.model.errors import assembly_errors
-from rfem_jax.mechanics.model.model import Coordinates, Model, Topology, at_closing, length_scale
+from rfem_jax.mechanics.model.model import Coordinates, Model, Topology, length_scale
 from rfem_jax.mechanics.model.orientations import moved
 from rfem_jax.mechanics.model.with_errors import apply_errors
 
@@ -89,7 +89,8 @@ def _free_coordinates(topology: Topology) -> tuple[np.ndarray, np.ndarray]:
 
 def _closure_at(model: Model, position: Coordinates) -> Closure:
     """The closure equations of the undeformed mechanism at a position."""
-    bare = replace(at_closing(model), forces=None, frame_forces=None, friction=None, line_loads=None)
+    # Ideal couplings stay: where their offset is that of the start, both coordinates keep theirs.
+    bare = replace(model, forces=None, frame_forces=None, friction=None, line_loads=None)
     actual = apply_errors(bare, assembly_errors(bare))
     found = closure(actual, motion_of(actual, loads.static_state(model.topology, position)), length_scale(model))
     assert found is not None, "there are loops"
