@@ -3,6 +3,7 @@
 Place in the pipeline: model, positions of what is held -> **poses** -> statics, turn.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -21,6 +22,7 @@ from rfem_jax.mechanics.model import nominal_geometry as nominal
 from rfem_jax.mechanics.model.discretisation import CLOSING_TOLERANCE, close_at
 from rfem_jax.mechanics.model.model import Model, Topology
 
+LARGEST_MOVE = 0.2  # rad, or share of the longest link, between two poses of which one is sought from the other
 DEAD_CENTRE = 1e-6  # share of the largest singular value of the loops' Jacobian: sine of the angle of a crank, about
 Positions = Mapping[str, ArrayLike | str | Sequence[str]]
 
@@ -176,6 +178,36 @@ def _require_rigid(model: Model) -> None:
         )
 
 
+def _followed(
+    model: Model,
+    pose: Float[np.ndarray, " numbers"],
+    wanted: Mapping[int, float],
+    units: Float[np.ndarray, " positions"],
+    held: tuple[int, ...] | None,
+) -> tuple[Float[np.ndarray, " numbers"], Float[np.ndarray, " cuts"], bool]:
+    """The pose with these values at their places, its angles of cut joints, and whether it closes.
+
+    It is followed from the pose before in small moves: one large move may end in another way to close. Where that
+    leads through positions at which nothing closes, it is one move after all. `units`: of the places.
+    """
+
+    def closed(share: float, start: Float[np.ndarray, " numbers"]):
+        guess = np.array(start)
+        guess[at] = (1.0 - share) * pose[at] + share * values
+        found, residual, alignment, cut = close_at(model, guess, held)
+        closes = np.abs(residual).max(initial=0.0) <= CLOSING_TOLERANCE and (alignment >= 0.0).all()
+        return found, cut, bool(closes)
+
+    at, values = list(wanted), np.array(list(wanted.values()))
+    moves = math.ceil(np.max(np.abs(values - pose[at]) / units) / LARGEST_MOVE)
+    here, cut, closes = pose, np.zeros(0), moves > 0
+    for n in range(moves):
+        here, cut, closes = closed((n + 1) / moves, here)
+        if not closes:
+            break
+    return (here, cut, closes) if closes else closed(1.0, pose)
+
+
 def search_poses(
     model: Model, positions: Mapping[int, Float[np.ndarray, " positions"]], held: tuple[int, ...] | None = None
 ) -> ClosedPose:
@@ -186,14 +218,13 @@ def search_poses(
     """
     topology = model.topology
     places = {topology.place_of(k): values for k, values in positions.items()}
+    units = nominal.joint_units(nominal.geometry_of(model))[list(positions)]
     names = [topology.label_of(k) for k in positions]
     pose, closed = np.asarray(model.start_joints), []
     for i in range(len(next(iter(places.values())))):
-        guess = np.array(pose)
-        for place, values in places.items():
-            guess[place] = values[i]
-        pose, residual, alignment, cut = close_at(model, guess, held)
-        if np.abs(residual).max(initial=0.0) > CLOSING_TOLERANCE or (alignment < 0.0).any():
+        wanted = {place: values[i] for place, values in places.items()}
+        pose, cut, closes = _followed(model, pose, wanted, units, held)
+        if not closes:
 
             def at(numbers):
                 return " and ".join(f"{x:.6g}" for x in numbers)
