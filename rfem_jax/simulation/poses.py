@@ -218,6 +218,14 @@ def _returned(function: RatioTransmission, old: float, new: float) -> float:
     return (new - old) / float(function.ratio)
 
 
+def _closed_at(
+    model: Model, guess: Float[np.ndarray, " numbers"], held: tuple[int, ...]
+) -> tuple[Float[np.ndarray, " numbers"], Float[np.ndarray, " cuts"], bool]:
+    """A pose close to a guess, angles of its cut joints, and whether it closes."""
+    found, residual, alignment, cut = close_at(model, guess, held)
+    return found, cut, bool(np.abs(residual).max(initial=0.0) <= CLOSING_TOLERANCE and (alignment >= 0.0).all())
+
+
 def _followed(
     model: Model,
     pose: Float[np.ndarray, " numbers"],
@@ -238,12 +246,8 @@ def _followed(
         guess[at] = (1.0 - share) * pose[at] + share * values
         for one in followers:
             guess[one.place] += one.change(start[one.source], guess[one.source])
-        ways = ((*held, *(one.coordinate for one in followers)), held) if followers else (held,)
-        for fixed in ways:
-            found, residual, alignment, cut = close_at(model, guess, fixed)
-            if np.abs(residual).max(initial=0.0) <= CLOSING_TOLERANCE and (alignment >= 0.0).all():
-                return found, cut, True
-        return found, cut, False
+        here = _closed_at(model, guess, (*held, *(one.coordinate for one in followers)))
+        return here if here[2] or not followers else _closed_at(model, guess, held)
 
     at, values = list(wanted), np.array(list(wanted.values()))
     moves = math.ceil(np.max(np.abs(values - pose[at]) / units) / LARGEST_MOVE)

@@ -37,17 +37,17 @@ def four_bar(
     across = side * np.sqrt(lengths[1] ** 2 - along**2)
     end = pin + (along * apart + across * np.array([-apart[1], apart[0]])) / distance
     coupler, rocker = (-np.arctan2(*(end - at)[::-1]) for at in (pin, other))
-    links = [
+    links = tuple(
         body(name, length, 1.0, (0.5 * length, 0.0, 0.0), (0.01, 0.01, 0.01))
         for name, length in zip(("crank", "coupler", "rocker"), lengths, strict=True)
-    ]
-    joints = [
+    )
+    joints = (
         Joint("A", "base", "crank", angle=crank),
         Joint("B", "crank", "coupler", angle=coupler - crank),
         Joint("D", "base", "rocker", position=(ground, 0.0, 0.0), angle=rocker),
         Joint("C", "coupler", "rocker", cut=True),
-    ]
-    return Mechanism(links, joints, driven_joint="A", points=[Point("P", "coupler", (point[0], 0.0, point[1]))])
+    )
+    return Mechanism(links, joints, driven_joint="A", points=(Point("P", "coupler", (point[0], 0.0, point[1])),))
 
 
 def hoecken(ground: float, coupler: float) -> Mechanism:
