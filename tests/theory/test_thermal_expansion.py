@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -29,6 +30,10 @@ from rfem_jax import (
     parameters,
     static_loads,
 )
+from rfem_jax.mechanics.dynamics.loads import static_state
+from rfem_jax.mechanics.elements import elasticity
+from rfem_jax.mechanics.kinematics.motion import relative_motion
+from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics.designs import designed
 from tests.derivatives import check_derivatives
 from tests.mechanisms import STEEL, four_bar
@@ -159,6 +164,27 @@ class TestGradient:
         np.testing.assert_allclose(found.points["P"].angles[0, 1:], [turned, -0.5 * turned], rtol=1e-4)
         assert max(float(found.stress["bar"][0]), *np.abs(found.loads["A"].moment[0])) < 1e-6 * moment / SIDE**3
 
+    @pytest.mark.parametrize("elements", ["linear", "geometrically_exact"])
+    def test_forces_are_slopes_of_the_energy(self, elements):
+        """At any position, so that runs balance their energy."""
+        model = held(elements=elements)
+        made = designed(model, None, assembly_errors(model, BENT))
+        actual, start = apply_errors(made.model, made.errors), model.start_coordinates()
+        moved = 1e-2 * np.random.default_rng(0).normal(size=start.elastic.shape)
+
+        @jax.jit
+        def both(elastic):
+            def energy(x):
+                return elasticity.elastic_energy(actual, replace_elastic(start, x))
+
+            state = static_state(model.topology, replace_elastic(start, elastic))
+            relative = relative_motion(actual, state.position, state.velocity)
+            return elasticity.generalised_forces(actual, state, relative)[0], jax.grad(energy)(elastic)
+
+        forces, slopes = both(jnp.asarray(moved))
+        np.testing.assert_allclose(forces, -slopes, rtol=1e-9, atol=1e-9 * np.abs(slopes).max())
+        np.testing.assert_allclose(both(jnp.zeros_like(moved))[0][4, -1], BENDING * ALPHA * GRADIENT, rtol=1e-9)
+
     def test_derivatives(self):
         """By both gradients, by the expansion as a design, and by a longer link, whose moment is the same."""
         model = held()
@@ -181,6 +207,10 @@ class TestGradient:
 
         np.testing.assert_allclose(found(GRADIENT), -BENDING * ALPHA * GRADIENT, rtol=1e-9)
         np.testing.assert_allclose(jax.jacfwd(found)(GRADIENT), -BENDING * ALPHA, rtol=1e-9)
+
+
+def replace_elastic(position, elastic):
+    return eqx.tree_at(lambda one: one.elastic, position, elastic)
 
 
 def push_of_bent(model):
