@@ -258,6 +258,10 @@ def draw_figures(study: Study, runs: Mapping[str, Run], summaries: Summaries) ->
             "Total mechanical energy (kinetic + elastic + gravity)",
             "energy, J",
         )
+        preloads = ((PRELOAD_FORCE, "Preload force"), (PRELOAD_MOMENT, "Preload moment"))
+        beside = "weight, springs, forces" if study.mechanism.forces else "weight"
+        heading = f"Preload in the joints at the start ({beside} and holding moment included)"
+        figures["preload"] = bars_figure(study, summaries, preloads, heading)
         with_axis = [joint.name for joint in study.mechanism.joints if KINDS[joint.kind].axis is not None]
         maxima = ((MAX_AXIAL_FORCE, "Maximum axial force"),)
         maxima += ((MAX_NORMAL_FORCE, "Maximum normal force"),)
@@ -266,10 +270,6 @@ def draw_figures(study: Study, runs: Mapping[str, Run], summaries: Summaries) ->
             figures["maximum_forces"] = bars_figure(study, summaries, maxima, heading, with_axis)
         means = ((RMS_FORCE, "RMS resultant force"), (RMS_MOMENT, "RMS resultant moment"))
         figures["rms_loads"] = bars_figure(study, summaries, means, "Root mean square of the loads in the joints")
-        preloads = ((PRELOAD_FORCE, "Preload force"), (PRELOAD_MOMENT, "Preload moment"))
-        beside = "weight, springs, forces" if study.mechanism.forces else "weight"
-        heading = f"Preload in the joints at the start ({beside} and holding moment included)"
-        figures["preload"] = bars_figure(study, summaries, preloads, heading)
         figures |= _load_figures(study, runs, summaries)
         figures |= orbit_figures(study, runs)
         figures["assembly"] = assembly_figure(study, runs)

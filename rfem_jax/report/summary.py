@@ -64,10 +64,10 @@ def summarise_run(study: Study, run: Run) -> dict[str, Any]:
     joints: dict[str, dict[str, Any]] = {}
     for name in joint_names(study):
         row: dict[str, Any] = {"kind": study.mechanism.joint(name).kind}
-        row |= {q.name: float(getattr(run.metrics, q.name)[name]) for q in JOINT_METRICS}
-        row[RMS_COMPONENTS] = _rms_components(run, run.loads[name], name)
         row["preload_force"] = [float(v) for v in np.asarray(run.preload[name].force)]
         row["preload_moment"] = [float(v) for v in np.asarray(run.preload[name].moment)]
+        row |= {q.name: float(getattr(run.metrics, q.name)[name]) for q in JOINT_METRICS}
+        row[RMS_COMPONENTS] = _rms_components(run, run.loads[name], name)
         joints[name] = row
     driven = _driven_joints(study, run)
     ends = {q.name: driven[0].get(q.name, math.nan) if driven else math.nan for q in DRIVEN_JOINT}

@@ -16,7 +16,7 @@ from rfem_jax.description.tolerances.error_catalogue import as_specified
 from rfem_jax.report.annotations import Summaries
 from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
 from rfem_jax.report.summary import OK, joint_names, marked, marked_cases, study_note
-from rfem_jax.simulation.quantities import BALANCES, DRIVEN_JOINT, JOINT_METRICS, Quantity
+from rfem_jax.simulation.quantities import AT_REST, BALANCES, DRIVEN_JOINT, JOINT_METRICS, PRELOAD_FORCE, Quantity
 from rfem_jax.text_layout import align_columns, wrap_lines
 
 _WIDTH = 96
@@ -57,9 +57,10 @@ def format_numbers(values: Sequence[float], digits: int = 6) -> list[str]:
 
 
 def joint_table(summaries: Summaries, names: Sequence[str], quantity: Quantity) -> str:
-    """One metric for all cases (rows) and joints (columns)."""
+    """One metric, or the resultant of a load, for all cases (rows) and joints (columns)."""
     cases = marked_cases(summaries)
-    values = [summaries[case]["joints"][name][quantity.name] for case in cases for name in names]
+    found = [summaries[case]["joints"][name][quantity.name] for case in cases for name in names]
+    values = [math.hypot(*one) if isinstance(one, list) else one for one in found]
     texts = format_numbers(values)
     rows = [[case, *texts[len(names) * row : len(names) * (row + 1)]] for row, case in enumerate(cases.values())]
     blocks = [
@@ -156,7 +157,8 @@ def results_text(study: Study, summaries: Summaries) -> str:
     """
     names = joint_names(study)
     parts = [title_text(study)]
-    parts += [joint_table(summaries, names, quantity) for quantity in JOINT_METRICS]
+    at_rest = AT_REST if _known_at_rest(summaries) else ()
+    parts += [joint_table(summaries, names, quantity) for quantity in (*at_rest, *JOINT_METRICS)]
     if study.metrics:
         parts.append(_metrics_table(study, summaries))
     if contacts := _contacts_table(summaries):
@@ -173,6 +175,12 @@ def results_text(study: Study, summaries: Summaries) -> str:
     if remarks := [*lines, *map(wrap_lines, of_all)]:
         parts.append("\n".join(remarks))
     return "\n\n".join(parts)
+
+
+def _known_at_rest(summaries: Summaries) -> bool:
+    """Whether any run began at rest: one that starts in motion, as a cycle, has no loads there."""
+    rows = (row for one in summaries.values() for row in one["joints"].values())
+    return any(math.isfinite(value) for row in rows for value in row[PRELOAD_FORCE.name])
 
 
 def title_text(study: Study) -> str:

@@ -23,6 +23,7 @@ from rfem_jax.mechanics.dynamics.load_axes import AXES
 from rfem_jax.mechanics.forces.bush_contacts import CONTACT_NAMES
 from rfem_jax.mechanics.model.status import STATUS
 from rfem_jax.simulation.quantities import (
+    AT_REST,
     CHECKS,
     ENERGIES,
     HINGE_MOMENT_ERROR,
@@ -302,11 +303,12 @@ def run_frame(run: Run) -> DataFrame:
     return frame(joint_rows(run), ["joint"])
 
 
-HEADER = ["joint", *(one.title for one in JOINT_METRICS)]
+HEADER = ["joint", *(one.title for one in (*AT_REST, *JOINT_METRICS))]
 
 
 def _shown(run: Run, joint: str) -> list[str | float]:
-    return [joint, *(float(getattr(run.metrics, one.name)[joint]) for one in JOINT_METRICS)]
+    at_rest = (float(np.linalg.norm(np.asarray(load))) for load in run.preload[joint])
+    return [joint, *at_rest, *(float(getattr(run.metrics, one.name)[joint]) for one in JOINT_METRICS)]
 
 
 def run_html(run: Run) -> str:

@@ -3,8 +3,10 @@
 Place in the pipeline: model, positions of what is held -> **poses** -> statics, turn.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -17,10 +19,12 @@ from jaxtyping import ArrayLike, Float
 from rfem_jax.description.basics.errors import InputError, suggestion
 from rfem_jax.description.basics.units import quantity
 from rfem_jax.description.study_file.statics import DIMENSIONS_OF
+from rfem_jax.mechanics.laws.couplings import RatioTransmission, Transmission
 from rfem_jax.mechanics.model import nominal_geometry as nominal
 from rfem_jax.mechanics.model.discretisation import CLOSING_TOLERANCE, close_at
 from rfem_jax.mechanics.model.model import Model, Topology
 
+LARGEST_MOVE = 0.2  # rad, or share of the longest link, between two poses of which one is sought from the other
 DEAD_CENTRE = 1e-6  # share of the largest singular value of the loops' Jacobian: sine of the angle of a crank, about
 Positions = Mapping[str, ArrayLike | str | Sequence[str]]
 
@@ -176,6 +180,85 @@ def _require_rigid(model: Model) -> None:
         )
 
 
+class _Follower(NamedTuple):
+    """A coordinate that a coupling moves with another one: their places, its index, and how far it goes as the other
+    one goes from a position to another."""
+
+    source: int
+    place: int
+    coordinate: int
+    change: Callable[[float, float], float]
+
+
+def _followers(model: Model, moved: Iterable[int], stay: Iterable[int]) -> tuple[_Follower, ...]:
+    """Coordinates that couplings, elastic ones too, move with `moved` ones, in the order in which they are known; of
+    `stay` none moves."""
+    known, found = {*moved, *stay}, []
+    reached = {*moved}
+    while True:
+        for law in (model.couplings or {}).values():
+            (a, b), (first, second), function = law.coordinates, law.places, law.transmission
+            if a in reached and b not in known:
+                found.append(_Follower(first, second, b, partial(_transmitted, function)))
+                break
+            if b in reached and a not in known and isinstance(function, RatioTransmission):
+                found.append(_Follower(second, first, a, partial(_returned, function)))
+                break
+        else:
+            return tuple(found)
+        known.add(found[-1].coordinate)
+        reached.add(found[-1].coordinate)
+
+
+def _transmitted(function: Transmission, old: float, new: float) -> float:
+    return float(function.at(jnp.asarray(new))[0] - function.at(jnp.asarray(old))[0])
+
+
+def _returned(function: RatioTransmission, old: float, new: float) -> float:
+    return (new - old) / float(function.ratio)
+
+
+def _closed_at(
+    model: Model, guess: Float[np.ndarray, " numbers"], held: tuple[int, ...]
+) -> tuple[Float[np.ndarray, " numbers"], Float[np.ndarray, " cuts"], bool]:
+    """A pose close to a guess, angles of its cut joints, and whether it closes."""
+    found, residual, alignment, cut = close_at(model, guess, held)
+    return found, cut, bool(np.abs(residual).max(initial=0.0) <= CLOSING_TOLERANCE and (alignment >= 0.0).all())
+
+
+def _followed(
+    model: Model,
+    pose: Float[np.ndarray, " numbers"],
+    wanted: Mapping[int, float],
+    units: Float[np.ndarray, " positions"],
+    held: tuple[int, ...],
+    followers: tuple[_Follower, ...],
+) -> tuple[Float[np.ndarray, " numbers"], Float[np.ndarray, " cuts"], bool]:
+    """The pose with these values at their places, its angles of cut joints, and whether it closes.
+
+    It is followed from the pose before in small moves: one large move may end in another way to close. Where that
+    leads through positions at which nothing closes, it is one move after all. `units`: of the places; what couplings
+    move goes along, unless the loops say otherwise.
+    """
+
+    def closed(share: float, start: Float[np.ndarray, " numbers"]):
+        guess = np.array(start)
+        guess[at] = (1.0 - share) * pose[at] + share * values
+        for one in followers:
+            guess[one.place] += one.change(start[one.source], guess[one.source])
+        here = _closed_at(model, guess, (*held, *(one.coordinate for one in followers)))
+        return here if here[2] or not followers else _closed_at(model, guess, held)
+
+    at, values = list(wanted), np.array(list(wanted.values()))
+    moves = math.ceil(np.max(np.abs(values - pose[at]) / units) / LARGEST_MOVE)
+    here, cut, closes = pose, np.zeros(0), moves > 0
+    for n in range(moves):
+        here, cut, closes = closed((n + 1) / moves, here)
+        if not closes:
+            break
+    return (here, cut, closes) if closes else closed(1.0, pose)
+
+
 def search_poses(
     model: Model, positions: Mapping[int, Float[np.ndarray, " positions"]], held: tuple[int, ...] | None = None
 ) -> ClosedPose:
@@ -186,14 +269,15 @@ def search_poses(
     """
     topology = model.topology
     places = {topology.place_of(k): values for k, values in positions.items()}
+    units = nominal.joint_units(nominal.geometry_of(model))[list(positions)]
     names = [topology.label_of(k) for k in positions]
+    held = topology.held if held is None else held
+    followers = _followers(model, positions, held)
     pose, closed = np.asarray(model.start_joints), []
     for i in range(len(next(iter(places.values())))):
-        guess = np.array(pose)
-        for place, values in places.items():
-            guess[place] = values[i]
-        pose, residual, alignment, cut = close_at(model, guess, held)
-        if np.abs(residual).max(initial=0.0) > CLOSING_TOLERANCE or (alignment < 0.0).any():
+        wanted = {place: values[i] for place, values in places.items()}
+        pose, cut, closes = _followed(model, pose, wanted, units, held, followers)
+        if not closes:
 
             def at(numbers):
                 return " and ".join(f"{x:.6g}" for x in numbers)

@@ -48,6 +48,10 @@ PRELOAD_MOMENT = Quantity(
     "preload_moment", "N m", "Preload moment", "moment at the start, holding loads included, x y z of the frame H"
 )
 PRELOADS = (PRELOAD_FORCE, PRELOAD_MOMENT)
+AT_REST = tuple(
+    Quantity(one.name, one.unit, f"Resultant {what} at rest", "at the start, holding loads included: the preload")
+    for one, what in zip(PRELOADS, ("force", "moment"), strict=True)
+)
 
 ANGLE_END = Quantity("angle_end", "rad", "Angle at end", "the driven joint's own coordinate")
 RATE_END = Quantity("rate_end", "rad/s", "Rate at end", "rate of the driven joint's coordinate")
@@ -119,8 +123,8 @@ ENERGIES = (
 def units() -> dict[str, str]:
     """Unit of every number in `results.json` by its name ("1" where it has no dimension)."""
     listed = (
-        *JOINT_METRICS,
         *PRELOADS,
+        *JOINT_METRICS,
         *DRIVEN_JOINT,
         POSITION_END,
         FRICTION_LOSS,

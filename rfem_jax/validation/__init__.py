@@ -19,6 +19,7 @@ Place in the pipeline: simulation, mechanics, description -> **validation** -> r
     bennett_loop          an overconstrained linkage
     andrews_squeezer      seven bodies, three planar loops
     published_linkages    IFToMM spatial slider-crank; Fourbar1, Fourbar2, Engine1a and EngineV6 of Modelica
+    straight_lines        Hoecken's linkages of a textbook's table
     joint_tables          one body on a joint of each kind
     force_tables          a free body on a spring between two points, a body moved along a guide
     joint_cases, rigid_links serve the benchmarks of joints of other kinds than revolute

@@ -24,6 +24,7 @@ from rfem_jax.validation import (
     slider_cranks,
     spatial_linkages,
     spinning_bodies,
+    straight_lines,
     tilted_hinge,
 )
 from rfem_jax.validation.lines import Benchmark, Outcome, Progress
@@ -48,6 +49,7 @@ BENCHMARKS = (
     Benchmark("bennett_loop", "Bennett's overconstrained linkage", bennett_loop.validate),
     Benchmark("andrews_squeezer", "Andrews' squeezing mechanism", andrews_squeezer.validate),
     Benchmark("published_linkages", "linkages of two libraries", published_linkages.validate),
+    Benchmark("straight_lines", "straight-line linkages of a textbook", straight_lines.validate),
     Benchmark("joint_tables", "one body on a joint of each kind", joint_tables.validate),
     Benchmark("force_tables", "a body on a spring, a body moved by an actuator", force_tables.validate),
 )

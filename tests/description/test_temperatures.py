@@ -56,6 +56,18 @@ def test_quantities_and_parameters():
             lambda: Material("m", 1e11, 1e3, 0.3, thermal_expansion="1 K"),
             ("`thermal_expansion` of material `m`", "1/K"),
         ),
+        (
+            lambda: Link("a", 0.1, BAR, STEEL, temperature_gradient_z=3.0),
+            ("`temperature_gradient_z` of link `a`", "`thermal_expansion`"),
+        ),
+        (
+            lambda: Link("a", 0.1, BAR, WARM, rigid=True, temperature_gradient_y="3 K/mm"),
+            ("`temperature_gradient_y` of link `a`", "is rigid", "3000"),
+        ),
+        (
+            lambda: Link("a", 0.1, BAR, WARM, temperature_gradient_y="3 K"),
+            ("`temperature_gradient_y` of link `a`", "K/m"),
+        ),
         (lambda: Base("12 K"), ("`thermal_expansion` of the base", "1/K")),
         (lambda: Base(1e-5, "1 m"), ("`temperature` of the base", "(K)")),
         (
@@ -88,7 +100,11 @@ def with_expansion(text):
 def test_a_study_file(tmp_path):
     study = load(tmp_path, with_expansion(WARM_FULL))
     assert study.mechanism.base == Base(23e-6)
-    assert {"base.temperature", "one.temperature"} <= {*parameters_of(study.mechanism)}
+    known = parameters_of(study.mechanism)
+    assert {"base.temperature", "one.temperature"} <= {*known}
+    flexible = {link.name for link in study.mechanism.links if link.expansion is not None and link.flexible}
+    gradients = {name for name in known if "gradient" in name}
+    assert flexible and gradients == {f"{name}.temperature_gradient_{axis}" for name in flexible for axis in "yz"}
 
 
 def test_what_does_not_grow_has_no_temperature(refused, tmp_path):
@@ -101,6 +117,8 @@ def test_what_does_not_grow_has_no_temperature(refused, tmp_path):
         design(model, {"a.temperature": 3.0})
     with refused("`a.temperature`", "`thermal_expansion`"):
         assembly_errors(model, {"a.temperature": 3.0})
+    with refused("`a.temperature_gradient_z`", "`thermal_expansion`"):
+        assembly_errors(model, {"a.temperature_gradient_z": 3.0})
 
 
 @pytest.mark.parametrize(

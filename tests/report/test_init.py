@@ -24,9 +24,11 @@ def test_a_study_that_closes_at_its_start(kind, tmp_path, monkeypatch, capsys):
     study = load_study("mine.toml")
     assert study.title == f"My {kind}" and len(study.cases) == 3
     found = describe(discretise(study.mechanism))
-    # A cam's contact is elastic, and leaves its follower a freedom.
-    assert (found.rigid_mobility, found.redundant, found.idle) == (2 if kind == "cam" else 1, False, ())
-    assert found.gap < 1e-3 and len(study.mechanism.cut_joints) == {"six-bar": 2, "cam": 0}.get(kind, 1)
+    # Contacts and teeth are elastic, and leave each wheel a freedom; the rods of the five-bar are rigid.
+    mobility = {"cam": 2, "geared-five-bar": 2, "planetary": 5}.get(kind, 1)
+    redundant = kind == "geared-five-bar"
+    assert (found.rigid_mobility, found.redundant, found.idle) == (mobility, redundant, ())
+    assert found.gap < 1e-3 and len(study.mechanism.cut_joints) == {"six-bar": 2, "cam": 0, "planetary": 0}.get(kind, 1)
 
 
 def test_nothing_is_overwritten(tmp_path, capsys):

@@ -56,6 +56,21 @@ def test_results_name_every_metric_with_its_unit(study, runs, statuses):
     assert max(map(len, text.splitlines())) <= 100
 
 
+def test_loads_at_rest_come_first(study, runs, statuses):
+    """Of the first saved time, at which this run begins: sizes of (1, 2, 3) times the run's, and one more per joint."""
+    summaries = summarise(study, runs, statuses)
+    text = results_text(study, summaries)
+    assert text.index("Resultant force at rest, N") < text.index("Resultant moment at rest, N m") < text.index("RMS")
+    block = text.split("Resultant force at rest, N")[1].splitlines()
+    assert block[1].split() == ["case", "A", "B", "D", "C"]
+    wanted = [np.linalg.norm(np.array([2.0, 4.0, 6.0]) + number) for number in range(4)]
+    np.testing.assert_allclose([float(x) for x in block[4].split()[1:]], wanted, atol=1e-4)
+    for summary in summaries.values():  # of a run that begins in motion nothing is known at rest
+        for row in summary["joints"].values():
+            row["preload_force"] = row["preload_moment"] = [np.nan] * 3
+    assert "at rest" not in results_text(study, summaries)
+
+
 def test_the_driven_angle_is_in_degrees(study, runs, statuses):
     block = results_text(study, summarise(study, runs, statuses)).split("Driven joint A\n")[1].splitlines()
     assert "Angle at end, deg  Rate at end, rad/s" in block[0]

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -27,7 +28,12 @@ from rfem_jax import (
     design,
     discretise,
     parameters,
+    static_loads,
 )
+from rfem_jax.mechanics.dynamics.loads import static_state
+from rfem_jax.mechanics.elements import elasticity
+from rfem_jax.mechanics.kinematics.motion import relative_motion
+from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics.designs import designed
 from tests.derivatives import check_derivatives
 from tests.mechanisms import STEEL, four_bar
@@ -38,9 +44,10 @@ AXIAL = STEEL.youngs_modulus * SIDE**2
 NOTHING = (0.0, 0.0, 0.0)
 
 
-def held(temperature=None, rfes=4, elements="linear", bearing=None, **more):
+def held(temperature=None, rfes=4, elements="linear", bearing=None, temperature_gradient_z=None, **more):
     """A bar between two clamps of the base, or one of them and a bearing that gives way."""
-    bar = Link("bar", LENGTH, Rectangle(SIDE, SIDE), WARM_STEEL, rfes=rfes, temperature=temperature)
+    warm = {"temperature": temperature, "temperature_gradient_z": temperature_gradient_z}
+    bar = Link("bar", LENGTH, Rectangle(SIDE, SIDE), WARM_STEEL, rfes=rfes, **warm)
     stiffness = {} if bearing is None else {"compliance": Compliance(T_x=bearing, T_x_damping=1.0)}
     joints = [
         Joint("A", "base", "bar", kind="fixed"),
@@ -129,6 +136,87 @@ class TestHeldBar:
         assert int(made.status) != 0
 
 
+GRADIENT = 2000.0  # K/m, along z; half of it along y
+BENT = {"bar.temperature_gradient_z": GRADIENT, "bar.temperature_gradient_y": 0.5 * GRADIENT}
+BENDING = STEEL.youngs_modulus * SIDE**4 / 12.0
+
+
+class TestGradient:
+    """A bar that is warmer above than below: free it is an arc of the curvature alpha dT/dz, clamped it has the moment
+    E I alpha dT/dz all along, and no force."""
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize("elements", ["linear", "geometrically_exact"])
+    def test_free_and_clamped(self, elements):
+        clamped = held(elements=elements)
+        far = assemble(clamped, assembly_errors(clamped, BENT), {}).preload["B"]
+        moment = BENDING * ALPHA * GRADIENT
+        np.testing.assert_allclose(far.moment, [0.0, -moment, 0.5 * moment], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(far.force, 0.0, atol=1e-9)
+        bar, end = Link("bar", LENGTH, Rectangle(SIDE, SIDE), WARM_STEEL, rfes=4), Point("P", "bar", (LENGTH, 0, 0))
+        hung = Mechanism([bar], [Joint("A", "base", "bar", kind="fixed")], gravity=NOTHING, points=[end])
+        found = static_loads(discretise(hung, elements=elements), BENT)
+        turned = ALPHA * GRADIENT * LENGTH
+        # The warm side is convex: the end goes down, and its slope with it.
+        assert int(found.status[0]) == 0
+        place = np.asarray(found.points["P"].position)[0]
+        np.testing.assert_allclose(place[1:], [-0.25 * turned * LENGTH, -0.5 * turned * LENGTH], rtol=1e-4)
+        np.testing.assert_allclose(found.points["P"].angles[0, 1:], [turned, -0.5 * turned], rtol=1e-4)
+        assert max(float(found.stress["bar"][0]), *np.abs(found.loads["A"].moment[0])) < 1e-6 * moment / SIDE**3
+
+    @pytest.mark.parametrize("elements", ["linear", "geometrically_exact"])
+    def test_forces_are_slopes_of_the_energy(self, elements):
+        """At any position, so that runs balance their energy."""
+        model = held(elements=elements)
+        made = designed(model, None, assembly_errors(model, BENT))
+        actual, start = apply_errors(made.model, made.errors), model.start_coordinates()
+        moved = 1e-2 * np.random.default_rng(0).normal(size=start.elastic.shape)
+
+        @jax.jit
+        def both(elastic):
+            def energy(x):
+                return elasticity.elastic_energy(actual, replace_elastic(start, x))
+
+            state = static_state(model.topology, replace_elastic(start, elastic))
+            relative = relative_motion(actual, state.position, state.velocity)
+            return elasticity.generalised_forces(actual, state, relative)[0], jax.grad(energy)(elastic)
+
+        forces, slopes = both(jnp.asarray(moved))
+        np.testing.assert_allclose(forces, -slopes, rtol=1e-9, atol=1e-9 * np.abs(slopes).max())
+        np.testing.assert_allclose(both(jnp.zeros_like(moved))[0][4, -1], BENDING * ALPHA * GRADIENT, rtol=1e-9)
+
+    def test_derivatives(self):
+        """By both gradients, by the expansion as a design, and by a longer link, whose moment is the same."""
+        model = held()
+
+        def answers(numbers):
+            errors = dict(zip((*BENT, "bar.length"), numbers[:3], strict=True))
+            chosen = design(model, {"steel.thermal_expansion": numbers[3]})
+            made = designed(model, chosen, assembly_errors(model, errors))
+            return assemble(made.model, made.errors, {}).preload["B"].moment[1:]
+
+        at = np.array([*BENT.values(), 0.0, ALPHA])
+        found = check_derivatives(answers, at, [1.0, 1.0, 1e-7, 1e-8], reverse=1e-9, differences=1e-6, floor=1e-6)
+        slope = BENDING * np.array([[-ALPHA, 0.0, 0.0, -GRADIENT], [0.0, ALPHA, 0.0, 0.5 * GRADIENT]])
+        np.testing.assert_allclose(found.forward, slope, rtol=1e-6, atol=1e-3)
+
+    def test_descriptions_with_traced_gradients(self):
+        @jax.jit
+        def found(gradient):
+            return push_of_bent(held(temperature_gradient_z=gradient))
+
+        np.testing.assert_allclose(found(GRADIENT), -BENDING * ALPHA * GRADIENT, rtol=1e-9)
+        np.testing.assert_allclose(jax.jacfwd(found)(GRADIENT), -BENDING * ALPHA, rtol=1e-9)
+
+
+def replace_elastic(position, elastic):
+    return eqx.tree_at(lambda one: one.elastic, position, elastic)
+
+
+def push_of_bent(model):
+    return assemble(model, assembly_errors(model), {}).preload["B"].moment[1]
+
+
 def with_everything(link_length=0.3, growth=1.0, grown_base=1.0, **warm):
     """Two links with all that has a place on them, of lengths and places that grow."""
 
@@ -155,7 +243,9 @@ def with_everything(link_length=0.3, growth=1.0, grown_base=1.0, **warm):
 
 
 def arrays(model):
-    return jax.tree.leaves(replace(model, source=None))
+    """All but curvatures, which are zero here."""
+    assert model.curvature is None or not np.any(model.curvature)
+    return jax.tree.leaves(replace(model, source=None, curvature=None))
 
 
 def test_all_places_on_a_link_and_on_the_base_move():
@@ -180,7 +270,8 @@ def test_what_has_no_expansion_is_as_before():
     for found, wanted in zip(arrays(discretise(cold)), arrays(discretise(none)), strict=True):
         assert np.array_equal(found, wanted)
     names = [*parameters(discretise(none))]
-    assert not any(name.endswith((".temperature", ".thermal_expansion")) for name in names)
+    assert discretise(none).curvature is None
+    assert not any("temperature" in name or name.endswith(".thermal_expansion") for name in names)
 
 
 @pytest.mark.slow

@@ -55,6 +55,7 @@ DIMENSIONS = {
     "angle": ((0, 0, 0, 1, 0), "rad", "0.5 deg"),
     "mass": ((1, 0, 0, 0, 0), "kg", "20 g"),
     "temperature": ((0, 0, 0, 0, 1), "K", "40 K"),
+    "temperature_gradient": ((0, -1, 0, 0, 1), "K/m", "0.5 K/mm"),
     "thermal_expansion": ((0, 0, 0, 0, -1), "1/K", "12e-6 1/K"),
     "time": ((0, 0, 1, 0, 0), "s", "10 ms"),
     "area": ((0, 2, 0, 0, 0), "m^2", "100 mm^2"),

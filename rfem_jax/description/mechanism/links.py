@@ -49,6 +49,7 @@ from rfem_jax.description.mechanism.sections import (
 
 MOST_RFES = 1000
 _USUAL_RFES = 5
+GRADIENTS = ("temperature_gradient_y", "temperature_gradient_z")
 
 
 @dataclass(frozen=True)
@@ -108,6 +109,8 @@ class Link(NumberTree, ChecksItself):
         temperature: its difference to the temperature of assembly [K], by which it and all places on it grow by the
             share thermal_expansion * temperature.
         thermal_expansion: alpha [1/K]; None: that of its material.
+        temperature_gradient_y, temperature_gradient_z: how fast the temperature rises across a flexible link, along y
+            and z of its frame [K/m], by which it bends without load.
     Raises:
         InputError: a value is out of range or of the wrong kind.
     """
@@ -122,10 +125,14 @@ class Link(NumberTree, ChecksItself):
     body: RigidBody | None = None
     temperature: Quantity | None = None
     thermal_expansion: Quantity | None = None
+    temperature_gradient_y: Quantity | None = None
+    temperature_gradient_z: Quantity | None = None
 
     numbers: ClassVar[Fields] = {
         "temperature": ("temperature", ANY),
         "thermal_expansion": ("thermal_expansion", ANY),
+        "temperature_gradient_y": ("temperature_gradient", ANY),
+        "temperature_gradient_z": ("temperature_gradient", ANY),
     }
 
     def _check_fields(self, checks: Checks) -> None:
@@ -144,9 +151,12 @@ class Link(NumberTree, ChecksItself):
         for name, field in self.numbers.items():
             if getattr(self, name) is not None:
                 checks.convert(name, read_number, field, f"`{name}` {of}")
-        checks.relation(("material", "temperature", "thermal_expansion"), self._check_temperature, of)
+        for name in ("temperature", *GRADIENTS):
+            checks.relation(("material", name, "thermal_expansion"), self._check_temperature, name, of)
         checks.convert("rigid", require_flag, f"`rigid` {of}")
         checks.convert("rfes", _number_of_rfes, of)
+        for name in GRADIENTS:
+            checks.relation(("rigid", "rfes", name), self._check_bends, name, of)
         checks.convert("point_masses", _masses, of)
         for entry in self.point_masses if checks.passed("point_masses") else ():
             checks.relation(("length", "rigid", "rfes"), self._check_point_mass, entry, of)
@@ -164,11 +174,18 @@ class Link(NumberTree, ChecksItself):
                 "a section needs one for its stiffness and its mass."
             )
 
-    def _check_temperature(self, of: str) -> None:
-        if self.temperature is not None and self.expansion is None:
+    def _check_temperature(self, name: str, of: str) -> None:
+        if getattr(self, name) is not None and self.expansion is None:
             raise InputError(
-                f"Argument `temperature` {of} must be left out where nothing says by how much the link grows, but was "
-                f"{short(self.temperature)}; give `thermal_expansion` of its material, or of the link."
+                f"Argument `{name}` {of} must be left out where nothing says by how much the link grows, but was "
+                f"{short(getattr(self, name))}; give `thermal_expansion` of its material, or of the link."
+            )
+
+    def _check_bends(self, name: str, of: str) -> None:
+        if getattr(self, name) is not None and not self.flexible:
+            raise InputError(
+                f"Argument `{name}` {of} must be left out where the link is rigid, as it does not bend, but was "
+                f"{short(getattr(self, name))}; make the link flexible, or leave it out."
             )
 
     def _check_body(self, of: str) -> None:

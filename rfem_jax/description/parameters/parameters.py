@@ -24,7 +24,7 @@ from rfem_jax.description.basics.units import DIMENSIONS
 from rfem_jax.description.mechanism.couplings import Coupling
 from rfem_jax.description.mechanism.forces import Force, JointForce, JointForceTable
 from rfem_jax.description.mechanism.joints import Joint
-from rfem_jax.description.mechanism.links import Link
+from rfem_jax.description.mechanism.links import GRADIENTS, Link
 from rfem_jax.description.mechanism.mechanism import Mechanism
 from rfem_jax.description.mechanism.point_forces import BetweenPoints, LoadOnLink, PointSpringTable
 from rfem_jax.description.mechanism.rigid_bodies import RigidBody
@@ -125,10 +125,12 @@ class ParameterNames(Mapping[str, Parameter]):
 
 
 _AT_THE_END = "is left out and lies at the link's end; set the link's length, or give the position in the description"
+_DOES_NOT_BEND = "is of a rigid link, or of one without `thermal_expansion`; make it flexible, or give it one"
 _FOUND = "follows from closing the loops or from assembly; only what a drive holds is given"
 _FOLLOWING = {
     "shear_factor": "is derived from the diameters; give it in the description",
     "temperature": "has no `thermal_expansion`; give it with the material, the link or the base",
+    **dict.fromkeys(GRADIENTS, _DOES_NOT_BEND),
     "angle": _FOUND,
     "displacement": _FOUND,
     **{f"{place}.{axis}": _AT_THE_END for place in ("position", "child_position") for axis in COMPONENTS},

@@ -16,7 +16,7 @@ from rfem_jax.description.mechanism.bases import Base
 from rfem_jax.description.mechanism.compliance import SprungDirection
 from rfem_jax.description.mechanism.forces import Force
 from rfem_jax.description.mechanism.joints import Joint
-from rfem_jax.description.mechanism.links import Link
+from rfem_jax.description.mechanism.links import GRADIENTS, Link
 from rfem_jax.description.mechanism.mechanism import Mechanism
 from rfem_jax.description.mechanism.points import Point
 
@@ -57,7 +57,7 @@ class Parts(NumberTree):
 
 def parts_of(mechanism: Mechanism) -> Parts:
     """The parts of a mechanism, with zeros for positions that are left out at the origin of a base or a child, and for
-    temperatures of links that grow with them."""
+    temperatures, and gradients of these, of links that grow and bend with them."""
     return Parts(
         links=tuple(_with_temperature(link) for link in mechanism.links),
         joints=tuple(_with_positions(joint) for joint in mechanism.joints),
@@ -73,9 +73,10 @@ def parts_of(mechanism: Mechanism) -> Parts:
 
 
 def _with_temperature(link: Link) -> Link:
-    if link.expansion is None or link.temperature is not None:
+    if link.expansion is None:
         return link
-    return link.with_fields(temperature=0.0)
+    names = ("temperature", *(GRADIENTS if link.flexible else ()))
+    return link.with_fields(**{name: 0.0 for name in names if getattr(link, name) is None})
 
 
 def _with_positions(joint: Joint) -> Joint:

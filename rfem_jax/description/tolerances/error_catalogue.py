@@ -46,6 +46,11 @@ def error_dimension(name: object, also: Collection[str] = ()) -> str:
             "Argument `name` of an error must be a joint or a link, a dot and the kind of error, "
             f'but was {name!r}; write for example "D.delta_x" or "coupler.length".'
         )
+    if component.startswith("temperature_gradient_"):
+        raise InputError(
+            f"Argument `name` of an error must be of a flexible link that grows with its temperature, but `{owner}` is "
+            "rigid, or nothing says by how much it grows; make it flexible, or give it `thermal_expansion`."
+        )
     if component == "temperature":
         raise InputError(
             f"Argument `name` of an error must be of what grows with its temperature, but nothing says by how much "

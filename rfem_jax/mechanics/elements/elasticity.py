@@ -23,7 +23,7 @@ from jaxtyping import Float
 from rfem_jax.mechanics.algebra.reordering import reorder
 from rfem_jax.mechanics.algebra.vectors import apply_transposed, invert_block
 from rfem_jax.mechanics.elements import exact_elements
-from rfem_jax.mechanics.elements.exact_elements import SpringBlocks, from_left, spring_blocks, to_left
+from rfem_jax.mechanics.elements.exact_elements import SpringBlocks, from_left, spring_blocks, to_left, unbent
 from rfem_jax.mechanics.kinematics.motion import RelativeMotion, relative_motion
 from rfem_jax.mechanics.model.model import Coordinates, State
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
@@ -140,7 +140,7 @@ def _linear_deflections(actual: ModelWithErrors, state: State) -> tuple[Array, A
         right = _face(elastic, actual.lever_right)
         return right - _face(from_left(actual, elastic), actual.lever_left)
 
-    return between_faces(state.position.elastic), between_faces(state.velocity.elastic)
+    return unbent(actual, between_faces(state.position.elastic)), between_faces(state.velocity.elastic)
 
 
 def _linear_forces(actual: ModelWithErrors, stretch: Array, rate: Array) -> Array:

@@ -84,7 +84,7 @@ def deflections(actual: ModelWithErrors, u: Float[Array, "3 rfes"], relative: Re
     f, g = _factors(dot(half, half))
     midway_spin = mean - 0.5 * cross(quarter, w)
     return ExactDeflections(
-        stretch=jnp.concatenate([gap, 2.0 * f[None] * half]),
+        stretch=unbent(actual, jnp.concatenate([gap, 2.0 * f[None] * half])),
         rate=jnp.concatenate([gap_rate - cross(midway_spin, gap), _tangent(half, f, g, w)]),
         half=half,
         quarter=quarter,
@@ -93,6 +93,13 @@ def deflections(actual: ModelWithErrors, u: Float[Array, "3 rfes"], relative: Re
         midway=midway,
         arms=arms,
     )
+
+
+def unbent(actual: ModelWithErrors, stretch: Float[Array, "6 rfes"]) -> Float[Array, "6 rfes"]:
+    """Deflections of the sdes less those that they have without load."""
+    if actual.bent is None:
+        return stretch
+    return jnp.concatenate([stretch[:4], stretch[4:] - actual.bent])
 
 
 class SpringBlocks(NamedTuple):

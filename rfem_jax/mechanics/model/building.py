@@ -18,7 +18,7 @@ from rfem_jax.description.mechanism.couplings import Coupling
 from rfem_jax.description.mechanism.distributed_forces import DistributedForce
 from rfem_jax.description.mechanism.forces import JointForce, JointFriction
 from rfem_jax.description.mechanism.joints import Joint
-from rfem_jax.description.mechanism.links import Link
+from rfem_jax.description.mechanism.links import GRADIENTS, Link
 from rfem_jax.description.mechanism.mechanism import EQUILIBRIUM, MINIMUM_NORM, Mechanism
 from rfem_jax.description.mechanism.point_forces import AtPoint, BetweenPoints
 from rfem_jax.description.parameters.parts import Parts, parts_of
@@ -139,6 +139,7 @@ def arrays_of(parts: Parts, structure: PartStructure) -> Model:
         points=_carried_points(parts, topology, links, points) or None,
         line_loads=_line_loads(parts, topology) or None,
         shaking_point=None if parts.shaking_point is None else _array(parts.shaking_point),
+        curvature=_curvatures(links),
     )
     return _with_clearances(model, joints) if topology.clearances else model
 
@@ -405,6 +406,21 @@ def _sections(links: Sequence[Link], plane: str) -> Sections:
         damping=row("damping"),
         edges=tuple(_edge(link, plane) for link in links),
     )
+
+
+def _curvatures(links: Sequence[Link]) -> Array | None:
+    """Rotations about y and z per length (2, links) [1/m] by which links bend without load, as the temperature rises
+    across them; None where no link says so (theory (2.21))."""
+    if all(getattr(link, name) is None for link in links for name in GRADIENTS):
+        return None
+
+    def bend(link: Link, name: str) -> Number:
+        gradient = getattr(link, name)
+        return 0.0 if gradient is None or link.expansion is None else link.expansion * gradient
+
+    y, z = GRADIENTS
+    rows = [[bend(link, z) for link in links], [-bend(link, y) for link in links]]
+    return jnp.asarray(array_of(rows), jnp.float64)
 
 
 def _array(values: Sequence[Number]) -> Array:

@@ -403,7 +403,8 @@ class Model(eqx.Module):
     joint, likewise; reaction_length [m]: over which moments count in the norm of reactions, None unless the least are
     asked for; points: whose paths are followed, by their names, None without any; line_loads: along links, likewise;
     shaking_point [m]: about which the moment on the base is taken, None for the origin; couplings: of joint
-    coordinates, by their names, None without any.
+    coordinates, by their names, None without any; curvature: rotations about y and z per length [1/m] of links without
+    load, None where all are straight.
 
     Numbers of the description change by a `rfem_jax.design`, from which all arrays follow.  `equinox.tree_at` may
     replace what is no number of a description and leaves the geometry as it is, such as the stiffnesses of one link of
@@ -437,6 +438,7 @@ class Model(eqx.Module):
     line_loads: dict[str, LineLoad] | None = None
     shaking_point: Float[Array, "3"] | None = None
     couplings: dict[str, CouplingLaw] | None = None
+    curvature: Float[Array, "2 links"] | None = None
 
     @property
     def vectors_of_time(self) -> list[TimeVector]:

@@ -52,7 +52,8 @@ class ModelWithErrors(eqx.Module):
     possible: 1, or 0 of errors that cannot be: these are then constants of the mechanism without errors.
     forces: along joint coordinates and of couplings of these, None without any; frame_forces: elements between frames
     on nodes, likewise; friction: in joints of the tree and cut ones, likewise; springs: of compliant joints, likewise;
-    reaction_length: as of the model; points: whose paths are followed, likewise.
+    reaction_length: as of the model; points: whose paths are followed, likewise; bent: rotations about y and z [rad] of
+    the sdes without load, None where links are straight.
     """
 
     topology: Topology = eqx.field(static=True)
@@ -79,6 +80,7 @@ class ModelWithErrors(eqx.Module):
     springs: dict[str, CompliantSpring] | None = None
     reaction_length: Float[Array, ""] | None = None
     points: dict[str, CarriedPoint] | None = None
+    bent: Float[Array, "2 rfes"] | None = None
 
 
 @kernel
@@ -336,7 +338,13 @@ def _spring_damping_elements(model: Model, length: Array) -> dict[str, Array]:
         "damping": _link_values(model.section.damping, link),
         "lever_left": jnp.asarray(place - left) * extent,
         "lever_right": jnp.asarray(place - right) * extent,
+        **_bends(model, link, extent / np.maximum(count, 1.0)),
     }
+
+
+def _bends(model: Model, link: Int[np.ndarray, " rfes"], apart: Array) -> dict[str, Array]:
+    """Rotations of sdes, which are as far `apart` [m], on links that are bent without load."""
+    return {} if model.curvature is None else {"bent": _link_values(model.curvature, link) * apart[None]}
 
 
 def _link_values(values: Float[Array, "*k links"], links: Int[np.ndarray, " n"]) -> Float[Array, "*k n"]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from rfem_jax.report.commands.command import Answer, Command
 from rfem_jax.report.progress_line import show
 
-KINDS = ("four-bar", "slider-crank", "six-bar", "cam")
+KINDS = ("four-bar", "slider-crank", "six-bar", "cam", "geared-five-bar", "planetary")
 
 
 def command() -> Command:

@@ -64,7 +64,7 @@ def page_head(results: dict[str, Any]) -> dict[str, Any]:
         "method": _pairs(results.get("method")),
         "versions": _pairs(results.get("versions")),
         "compilation": _pairs(results.get("compilation")),
-        "metrics": [_described(one) for one in (*JOINT_METRICS, *PRELOADS)],
+        "metrics": [_described(one) for one in (*PRELOADS, *JOINT_METRICS)],
         "balances": [_described(one) for one in CHECKS],
         "ends": [_described(one) for one in DRIVEN_JOINT],
         "metric_units": _pairs(_table(results.get("units")).get("metrics")),

@@ -75,10 +75,10 @@ def _joints(run: Run) -> dict[str, dict[str, Any]]:
     joints = {}
     for name in run.loads:
         row: dict[str, Any] = {"kind": kinds.get(name)}
-        row |= {one.name: float(getattr(run.metrics, one.name)[name]) for one in JOINT_METRICS}
         for one in PRELOADS:
             load = getattr(run.preload[name], one.name.removeprefix("preload_"))
             row[one.name] = [float(x) for x in load]
+        row |= {one.name: float(getattr(run.metrics, one.name)[name]) for one in JOINT_METRICS}
         joints[name] = row
     return joints
 

@@ -162,7 +162,7 @@ function tablesPage() {
     { label: "value", value: (row) => row.error && row.error[1], show: (value, row) => showError(value, row.error[2]) },
   ];
   return [
-    section("Loads in the joints", sortableTable("Loads by case and joint; a preload is the resultant at the start, holding loads included", columns, rows, { id: "loads-table" }), failedNote()),
+    section("Loads in the joints", sortableTable("Loads by case and joint, at rest first: a preload is the resultant at the start, holding loads included", columns, rows, { id: "loads-table" }), failedNote()),
     asked.length ? section("Metrics", sortableTable("Metrics that the study asks for", metricColumns, asked, { id: "metrics-table" }),
       content.metric_notes.map(([kind, words]) => make("p", { class: "metric-note" }, noteWords(kind, words)))) : null,
     section("Assembly errors", errors.length ? sortableTable("Errors by case", errorColumns, errors) : make("p", {}, "No case has errors.")),
