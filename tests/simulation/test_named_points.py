@@ -168,6 +168,14 @@ def test_names_of_nothing_are_refused(points, words):
         four_bar(*points)
 
 
+def test_names_are_of_the_joints_and_links_that_there_are():
+    mechanism = four_bar("C", "coupler.end")
+    turned = [replace(one, parent="rocker", child="coupler") if one.cut else one for one in mechanism.joints]
+    assert [point.link for point in replace(mechanism, joints=turned).points] == ["coupler", "coupler"]
+    with pytest.raises(InputError, match="has no such `C`"):
+        replace(mechanism, joints=mechanism.joints[:-1])
+
+
 def test_a_joint_and_a_force_of_one_name_are_not_told_apart():
     spring = PointSpring("B", ("crank", "rocker"), (0.05, 0.05), stiffness=10.0, free_length=0.1)
     with pytest.raises(InputError, match="there is a force `B`, too.*rename the force"):

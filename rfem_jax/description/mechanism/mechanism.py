@@ -155,6 +155,7 @@ class Mechanism(NumberTree, ChecksItself):
         owners = dict.fromkeys(links, "link") | {joint.name: "joint" for joint in self.joints} | forces
         found: list[Point] = []
         for one in self.points:
+            one = one.name if isinstance(one, NamedPoint) else one  # joints and links may have been replaced since
             with problems.noted():
                 if isinstance(one, str) and one not in known:
                     raise InputError(
