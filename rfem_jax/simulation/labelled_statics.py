@@ -249,7 +249,7 @@ class LabelledStatics(LabelledResult):
         numbers = ["position"] if self._at(0) else []
         header = [of, *numbers, *COMPONENTS]
         rows = [
-            [name, *self._at(i), *(f"{factor * float(x):.6g}" for x in values[i])]
+            [name, *self._at(i), *(f"{factor * float(x) + 0.0:.6g}" for x in values[i])]
             for name, values in vectors.items()
             for i in range(len(values))
         ]
