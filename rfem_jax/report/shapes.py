@@ -281,9 +281,10 @@ def assembly_figure(study: Study, runs: Mapping[str, Run], places: Mapping[str, 
 
 def start_figure(study: Study, model: Model) -> Figure:
     """The perfect mechanism at its start, links undeformed, as its loops are closed: without a run."""
-    from rfem_jax.mechanics.model.nominal_geometry import geometry_of, place
+    from rfem_jax.mechanics.model.nominal_geometry import geometry_of, node_place, place
 
-    placed, mechanism = place(geometry_of(model), np.asarray(model.start_joints)), study.mechanism
+    geometry, mechanism = geometry_of(model), study.mechanism
+    placed = place(geometry, np.asarray(model.start_joints))
     ends = placed.origin + np.asarray(model.length)[:, None] * placed.rotation[:, :, 0]
     lines = {name: np.stack([placed.origin[l], ends[l]]) for l, name in enumerate(model.link_names)}
     places, size = joint_seats(mechanism, model), mechanism_size(lines)
@@ -297,10 +298,27 @@ def start_figure(study: Study, model: Model) -> Figure:
     points = _draw_joints(axes, mechanism, (lines, lines), colours, places, guides)
     draw_forces(axes, mechanism, forces_at_start(model), size, lambda _link, _x, there: there)
     _write_names(axes, mechanism, points, lines)
+    for point in mechanism.points:
+        carried = (model.points or {})[point.name]
+        rotation, origin = node_place(geometry, placed, carried.node)
+        points[f"point {point.name}"] = origin + rotation @ np.asarray(carried.position)
+        _draw_point(axes, point.name, points[f"point {point.name}"], lines[point.link], point.name not in places)
     _format_axes(axes, *_box([*lines.values(), *(point[None] for point in points.values())], guides), mechanism.plane)
     _lay_out(figure, mechanism, 5.8)
     add_titles(figure, "The mechanism at its start", study)
     return figure
+
+
+def _draw_point(axes: Axes3D, name: str, point: Point, line: Line, named: bool) -> None:
+    """A point whose path is followed, with a thin line from its link, and its name unless a joint there has it."""
+    start, along = line[0], line[-1] - line[0]
+    length = float(along @ along)
+    foot = start + along * (np.clip((point - start) @ along / length, 0.0, 1.0) if length > 0.0 else 0.0)
+    label = None if "point that is followed" in axes.get_legend_handles_labels()[1] else "point that is followed"
+    axes.plot(*np.stack([foot, point], axis=1), color="#404040", linewidth=0.8, linestyle=":")
+    axes.plot(*point[:, None], color="#404040", marker="x", markersize=7, linestyle="none", zorder=6, label=label)
+    if named:
+        axes.text(point[0], point[1], point[2], f"  {name}", fontsize=9, style="italic", zorder=6)
 
 
 def _lay_out(figure: Figure, mechanism: Mechanism, height: float) -> None:

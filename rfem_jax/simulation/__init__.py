@@ -23,7 +23,7 @@
     vibration            modes of the perfect mechanism at rest, for limits of the step
     modes                natural frequencies about assembled configurations, differentiable
     statics              loads at rest, at given positions; labelled_statics: as tables
-    turn                 the mechanism held at positions of its drive
+    turn                 the mechanism held at positions of its drive; labelled_turn: as tables
     cycle                the motion that repeats with every revolution of a drive
     stability            the largest stable step
     accuracy             the method that "auto" stands for

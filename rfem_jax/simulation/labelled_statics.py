@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from rfem_jax.description.metrics.catalogue import kind_and_owner, metric_of
+from rfem_jax.description.metrics.shaking_metrics import RECORD
 from rfem_jax.labelled_data import COMPONENTS, Arrays, Labelled, LabelledResult, Parts, Table, column_name
 from rfem_jax.mechanics.model.status import STATUS
 from rfem_jax.simulation.remarks import linear_remark
@@ -110,6 +111,10 @@ class LabelledStatics(LabelledResult):
             if kind == "deflection":
                 put(f"deflection_{owner}", ("component",), lambda r, n=record: r.recorded[n], "m",
                     f"deflection of {owner}, frame of the link")  # fmt: skip
+            if record == RECORD:
+                for what, unit in _LOADS:
+                    put(f"{RECORD}_{what}", ("component",), lambda r, w=what: getattr(r.recorded[RECORD], w), unit,
+                        f"{what} of the mechanism on its base, global axes")  # fmt: skip
         for name in self.results[0].points:
             put(f"place_{name}", ("component",), lambda r, n=name: r.points[n].position, "m", f"place of {name}")
         for name in self.results[0].couplings:
@@ -146,6 +151,9 @@ class LabelledStatics(LabelledResult):
                 owner, _, kind = name.rpartition(".")
                 if kind == "deflection":
                     row |= _components(f"{owner}_deflection", record[i], "m")
+                if name == RECORD:
+                    for what, unit in _LOADS:
+                        row |= _components(f"{RECORD}_{what}", getattr(record, what)[i], unit)
             row |= {column_name(f"{name}_stress", "Pa"): float(values[i]) for name, values in result.stress.items()}
             row |= {"elastic_energy_J": float(result.energy.elastic[i])}
             yield row | {"gravity_energy_J": float(result.energy.gravity[i])}
@@ -187,14 +195,17 @@ class LabelledStatics(LabelledResult):
         if self.labels:
             what = "What drives" if self.moves else "What holds"
             parts += ["", f"{what} the mechanism{of_case}", Table(*self._holding_rows(result), words=())]
+        shaking = result.recorded.get(RECORD)
+        on_base = {} if shaking is None else {f"{what}, {unit}": getattr(shaking, what) for what, unit in _LOADS}
         tables = (
+            (f"What the mechanism exerts on its base{of_case}", "load", on_base),
             (f"Places of points{of_case}, mm", "point", {n: one.position for n, one in result.points.items()}),
             (f"Deflections{of_case}, mm", "link", {n.rpartition(".")[0]: one for n, one in result.recorded.items()
                                                    if n.endswith(".deflection")}),
         )  # fmt: skip
         for title, of, vectors in tables:
             if vectors:
-                parts += ["", title, Table(*self._vector_rows(of, vectors, 1e3), words=(0,))]
+                parts += ["", title, Table(*self._vector_rows(of, vectors, 1.0 if of == "load" else 1e3), words=(0,))]
         if result.stress:
             rows = [[name, f"{1e-6 * np.max(values):.5g}"] for name, values in result.stress.items()]
             parts += ["", Table(["link", "max stress, MPa"], rows)]
@@ -242,7 +253,7 @@ class LabelledStatics(LabelledResult):
         numbers = ["position"] if self._at(0) else []
         header = [of, *numbers, *COMPONENTS]
         rows = [
-            [name, *self._at(i), *(f"{factor * float(x):.6g}" for x in values[i])]
+            [name, *self._at(i), *(f"{factor * float(x) + 0.0:.6g}" for x in values[i])]
             for name, values in vectors.items()
             for i in range(len(values))
         ]

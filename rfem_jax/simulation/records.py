@@ -131,8 +131,7 @@ def instant_records(
     for name in names:
         owner, _, kind = name.rpartition(".")
         if name == "shaking":
-            elements = {} if actual.frame_forces is None else actual.frame_forces.elements
-            records[name] = shaking_load(instant.base, elements, instant.frame_loads, model.shaking_point)
+            records[name] = shaking_load(model, actual, instant.base, instant.frame_loads)
         if kind == "sections":
             records[name] = loads_of_sections(model, actual, state, instant, actual.topology.links.index(owner))
         if kind == "deflection":

@@ -26,9 +26,11 @@ from jaxtyping import Float, Int
 
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.basics.precision import require_float64
+from rfem_jax.description.metrics.shaking_metrics import RECORD
 from rfem_jax.description.metrics.subjects import divided
 from rfem_jax.labelled_data import DataFrame, Dataset
 from rfem_jax.mechanics.dynamics import dynamics, loads
+from rfem_jax.mechanics.dynamics.base_loads import ShakingLoad, shaking_load
 from rfem_jax.mechanics.dynamics.point_paths import PointMotion, point_motions
 from rfem_jax.mechanics.dynamics.section_loads import loads_of_sections, stress_squares
 from rfem_jax.mechanics.elements.linear_validity import linear_error, linear_range
@@ -94,7 +96,8 @@ class StaticLoads(eqx.Module):
     has to act on it from outside. loads: of all joints (positions, 3), in hinge frames; metrics of them over the
     positions; angles [rad], displacements [m] of the tree joints; energy [J]; points: `PointPath` of every point;
     rate, acceleration of the held coordinates, zero at rest; recorded: by the names of `simulation.records`,
-    "LINK.sections" and "LINK.deflection" of flexible links among them; couplings: `CouplingHistory` of every coupling;
+    "LINK.sections" and "LINK.deflection" of flexible links among them, "shaking" where it is asked for; couplings:
+    `CouplingHistory` of every coupling;
     stress [Pa]: largest von Mises stress of every link whose section's edge is known; contacts: of joints with
     clearance; status: code of `STATUS` of every position.
     """
@@ -351,7 +354,14 @@ def _saved(model: Model, actual: ModelWithErrors, state: State, still: Still, as
             records[name] = loads_of_sections(model, actual, state, still, model.topology.links.index(owner))
         if kind == "deflection":
             records[name] = deflection(actual, still, *divided(owner))
+        if name == RECORD:
+            records[name] = shaking_at_rest(model, actual, still)
     return records
+
+
+def shaking_at_rest(model: Model, actual: ModelWithErrors, still: Still) -> ShakingLoad:
+    """What the mechanism exerts on its base."""
+    return shaking_load(model, actual, loads.base_wrench(actual.topology, still.wrenches), still.frame_loads)
 
 
 def _balance(actual: ModelWithErrors, state: State, still: Still, accelerated: Coordinates) -> Float[Array, ""]:

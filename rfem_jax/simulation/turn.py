@@ -7,6 +7,7 @@ and weight is sought from there (theory (6.1)). No dynamics: what remains of the
 """
 
 from functools import partial
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax
@@ -17,7 +18,9 @@ from jaxtyping import Array, Float, Int
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.basics.errors import InputError, require_choice
 from rfem_jax.description.basics.precision import require_float64
+from rfem_jax.labelled_data import DataFrame, Dataset
 from rfem_jax.mechanics.dynamics import loads
+from rfem_jax.mechanics.dynamics.base_loads import ShakingLoad
 from rfem_jax.mechanics.dynamics.load_axes import AXES, turned_loads
 from rfem_jax.mechanics.dynamics.point_paths import point_motions
 from rfem_jax.mechanics.elements.linear_validity import linear_error, linear_range
@@ -28,7 +31,10 @@ from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics.assembly import Load, held_angles, named
 from rfem_jax.mechanics.statics.designs import designed, status_of
 from rfem_jax.simulation.poses import ClosedPose, posed, search_poses
-from rfem_jax.simulation.statics import at_rest, holding_load, largest_stresses
+from rfem_jax.simulation.statics import at_rest, holding_load, largest_stresses, shaking_at_rest
+
+if TYPE_CHECKING:
+    from rfem_jax.simulation.labelled_turn import LabelledTurn
 
 POSITIONS = 72  # over a revolution, unless given
 
@@ -42,7 +48,8 @@ class Turn(eqx.Module):
     assembly; contacts (positions, ...): of the joints with clearance, by their names; linear_error: estimated error of
     linear elements (`linear_validity`); places [m] (positions, 3) of the points whose paths are followed, couplings
     (positions, 2): loads [N m, N] along their two coordinates, by their names; in_axes: the loads in further axes, if
-    these were asked for.
+    these were asked for; shaking: what the mechanism exerts on its base, where it has a `shaking_point`; slides:
+    whether the driven coordinate is a displacement.
     """
 
     position: Float[Array, "*positions"]
@@ -56,6 +63,27 @@ class Turn(eqx.Module):
     places: dict[str, Float[Array, "*positions 3"]] = eqx.field(default_factory=dict)
     in_axes: dict[str, Load] = eqx.field(default_factory=dict)
     couplings: dict[str, Float[Array, "*positions 2"]] = eqx.field(default_factory=dict)
+    shaking: ShakingLoad | None = None
+    slides: bool = eqx.field(static=True, default=False)
+
+    def to_xarray(self) -> Dataset:
+        """An `xarray.Dataset` of loads, places and what holds, with units and long names."""
+        return self._labelled().to_xarray()
+
+    def to_pandas(self) -> DataFrame:
+        """A `pandas.DataFrame` with a row for every position."""
+        return self._labelled().to_pandas()
+
+    def __str__(self) -> str:
+        return str(self._labelled())
+
+    def _repr_html_(self) -> str:
+        return self._labelled()._repr_html_()
+
+    def _labelled(self) -> "LabelledTurn":
+        from rfem_jax.simulation.labelled_turn import LabelledTurn
+
+        return LabelledTurn.of(self)
 
 
 def turn_positions(
@@ -154,4 +182,6 @@ def held_at(model: Model, errors: AssemblyErrors, pose: ClosedPose, stresses: bo
         places={name: one.position for name, one in points.items()},
         in_axes=turned,
         couplings={name: mesh.loads for name, mesh in meshes.items()},
+        shaking=None if model.shaking_point is None else shaking_at_rest(model, actual, still),
+        slides=bool(topology.slides[k]),
     )

@@ -24,7 +24,12 @@ TURN = {
                 "force": {joint: [10.0 * size] * 4 for joint in "AD"},
                 "moment": {joint: [size * k * math.sin(angle) for angle in ANGLES] for k, joint in enumerate("AD", 1)},
                 "stress": {"crank": [1e6 * size] * 4},
+                "place": {
+                    "P": {"x": [0.01 * size * k for k in range(4)], "y": [0.0] * 4, "z": [0.02, None, 0.02, 0.02]},
+                },
+                "shaking_force": {axis: [size, 2.0, 3.0, 4.0] for axis in "xyz"},
             },
+            "shaking": {"max_force": 20.0, "max_force_at": 1.0, "max_moment": 0.0, "max_moment_at": 0.5},
         }
         for name, size in (("perfect", 1.0), ("tilted", 3.0))
     },
@@ -132,13 +137,24 @@ def test_the_turn_opens_with_the_joint_whose_moment_is_largest(page):
     assert len(ends(page, "#turn-curves polyline")) == 2
     assert "perfect" in page.text("#turn-curves .legend") and "tilted" in page.text("#turn-curves .legend")
     rows = cells(page, "#turn-loads")
-    assert rows[3][:3] == ["tilted", "D", "30"] and float(rows[3][5]) == pytest.approx(math.degrees(0.5), rel=1e-4)
+    assert [row[1] for row in rows] == 2 * ["A", "D", "on the base"]
+    assert rows[4][:3] == ["tilted", "D", "30"] and float(rows[4][5]) == pytest.approx(math.degrees(0.5), rel=1e-4)
     # Positions that are not assembled leave a gap.
     page.choose("#turn-quantity", "holding")
     assert len(ends(page, "#turn-curves polyline")) == 4
     assert "N m" in page.text("#turn-curves svg")
     page.choose("#turn-quantity", "stress crank")
     assert len(ends(page, "#turn-curves polyline")) == 2 and page.complaints() == []
+
+
+def test_the_turn_shows_where_points_go_and_what_the_base_feels(page):
+    page.tab("Turn")
+    for quantity, unit, lines in (("shaking_force x", "N", 2), ("place P z", "mm", 4)):
+        page.choose("#turn-quantity", quantity)
+        assert unit in page.text("#turn-curves svg") and len(ends(page, "#turn-curves polyline")) == lines
+    # A path with a gap where a position was not assembled, seen along the axis along which it stays.
+    assert len(ends(page, "#turn-path polyline")) == 4 and page.complaints() == []
+    assert "x of P, mm" in page.text("#turn-path svg") and "z of P, mm" in page.text("#turn-path svg")
 
 
 def test_modes_swing_and_are_seen_from_where_they_move(page):

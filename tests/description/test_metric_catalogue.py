@@ -63,6 +63,13 @@ def test_limits_of_a_metric_that_is_never_negative_are_positive(tmp_path, refuse
         load(tmp_path, '["height"]', "limits = { height = -1.0 }")
 
 
+def test_a_metric_is_of_one_kind_of_things(refused):
+    for owners in (("joints", "links"), ("joints", "points"), ("links", "points")):
+        first, second = owners
+        with refused(f"`of_{second}` of the metric `swing` must be left out for a metric of {first}"):
+            register_metric("swing", "rad", abs, **{f"of_{one}": True for one in owners})
+
+
 @pytest.mark.parametrize(
     ("arguments", "pieces"),
     [

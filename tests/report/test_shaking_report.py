@@ -97,3 +97,41 @@ def test_a_joint_with_the_name_of_its_columns_is_refused(tmp_path):
         load_study(path)
     path.write_text('metrics = ["max_shaking_force"]\n' + SHAKEN, encoding="utf-8")
     assert load_study(path).metrics == ("max_shaking_force",)
+
+
+@pytest.mark.slow
+def test_turns_and_loads_at_rest_have_it(tmp_path, capsys):
+    path, weight = tmp_path / "study.toml", pull(LENGTH) / (RATE**2 * 0.5 * LENGTH) * 9.81
+    path.write_text(SHAKEN.replace("gravity = [0, 0, 0]\n", ""), encoding="utf-8")
+    assert main(["turn", str(path), "--out", str(tmp_path), "--positions", "4"]) == 0
+    assert "on the base" in capsys.readouterr().out
+    table = np.genfromtxt(tmp_path / "turn.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+    perfect = table[table["case"] == "perfect"]
+    assert_allclose(perfect["shaking_force_z_N"], -weight, rtol=1e-9)
+    moment = weight * (0.5 * LENGTH * np.cos(perfect["position_rad"]) - POINT)
+    assert_allclose(perfect["shaking_moment_y_Nm"], moment, atol=1e-9)
+    case = json.loads((tmp_path / "turn.json").read_text(encoding="utf-8"))["cases"]["perfect"]
+    assert_allclose(case["curves"]["shaking_moment"]["y"], moment, atol=1e-9)
+    assert case["shaking"]["max_moment"] == pytest.approx(np.abs(moment).max())
+
+    assert main(["statics", str(path), "--out", str(tmp_path)]) == 0
+    text = capsys.readouterr().out
+    assert "What the mechanism exerts on its base" in text and " -0 " not in text
+    case = json.loads((tmp_path / "statics.json").read_text(encoding="utf-8"))["cases"]["perfect"]
+    assert_allclose(case["shaking"]["moment"], [[0.0, weight * (0.5 * LENGTH - POINT), 0.0]], atol=1e-12)
+    assert case["metrics"]["max_shaking_force"] == pytest.approx(weight)
+    table = np.genfromtxt(tmp_path / "statics.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+    assert_allclose(table["shaking_force_z_N"][0], -weight, rtol=1e-9)
+
+
+def test_a_metric_of_it_makes_a_turn_have_it_about_the_origin(tmp_path):
+    """Without `shaking_point`, as in runs; without such a metric there is nothing."""
+    text = SHAKEN.replace("gravity = [0, 0, 0]\n", "").replace(f'shaking_point = ["{POINT} m", 0, 0]\n', "")
+    title = 'title = "A hand that goes round"\n'
+    for metrics, there in (('metrics = ["max_shaking_force"]\n', True), ("", False)):
+        path = tmp_path / "study.toml"
+        path.write_text(text.replace(title, title + metrics), encoding="utf-8")
+        assert main(["turn", str(path), "--out", str(tmp_path), "--positions", "2"]) == 0
+        header = (tmp_path / "turn.csv").read_text(encoding="utf-8").splitlines()[0]
+        assert ("shaking_moment_y_Nm" in header) == there
+    assert "shaking" not in json.loads((tmp_path / "turn.json").read_text(encoding="utf-8"))["cases"]["perfect"]

@@ -98,6 +98,23 @@ def test_the_start_is_drawn_as_it_is_closed(file):
     assert words.count("load") == words.count("snow") == 1 and {"A", "B", "C", "D"} <= set(words)
 
 
+def test_the_points_that_are_followed_are_drawn(file, tmp_path):
+    points = 'points = ["B", "rocker.end", { name = "P", link = "coupler", position = [0.1, 0.05, 0] }]\n'
+    path = tmp_path / "figure.toml"
+    path.write_text(STUDY.replace("[mechanism]\n", f"[mechanism]\n{points}"), encoding="utf-8")
+    study = load_study(path)
+    axes = start_figure(study, discretise(study.mechanism)).axes[0]
+    lines = {line.get_label(): np.array(line.get_data_3d()) for line in axes.lines}
+    crosses = [np.array(line.get_data_3d())[:, 0] for line in axes.lines if line.get_marker() == "x"]
+    start, end = lines["coupler"].T
+    along = (end - start) / 0.3
+    place = start + 0.1 * along + 0.05 * np.array([-along[1], along[0], 0.0])
+    np.testing.assert_allclose(sorted(map(tuple, crosses)), sorted(map(tuple, [start, end, place])), atol=1e-9)
+    words = [text.get_text().strip() for text in axes.texts]
+    assert words.count("P") == words.count("rocker.end") == words.count("B") == 1
+    assert "point that is followed" in [text.get_text() for text in axes.figure.legends[0].get_texts()]
+
+
 def test_check_draws_it_and_says_how_loops_are_closed(file, tmp_path, capsys):
     asked(file, "--picture", str(tmp_path / "pictures" / "start.png"))
     told = " ".join(capsys.readouterr().out.split())

@@ -11,7 +11,7 @@ from rfem_jax.simulation.turn import closed_poses, turn_over, turn_positions
 from rfem_jax.validation.clearances import TILT, flexible_four_bar
 from tests.derivatives import check_derivatives
 from tests.evaluation import evaluated
-from tests.mechanisms import BAR, STEEL, four_bar, link
+from tests.mechanisms import BAR, STEEL, arm, four_bar, link
 
 
 @pytest.mark.slow
@@ -57,6 +57,25 @@ def test_a_turn_is_the_assembly_at_its_angles_and_its_moment_the_derivative_of_t
         np.testing.assert_allclose(turn.loads[name].force[1], load.force, rtol=1e-7, atol=1e-6)
         np.testing.assert_allclose(turn.loads[name].moment[1], load.moment, rtol=1e-7, atol=1e-6)
     check_derivatives(lambda size: turned(size).holding, 1.0, 1e-4, reverse=1e-8, differences=1e-5)
+
+
+def test_a_turn_has_labelled_data():
+    length, point = 0.3, (0.05, 0.0, 0.0)
+    model = discretise(arm(angle=0.2, points=["arm.end"], shaking_point=point))
+    turn = kinetostatic_turn(model, positions=np.array([0.2, 1.0]))
+    data, table = turn.to_xarray(), turn.to_pandas()
+    place = length * np.stack([np.cos(turn.position), [0.0, 0.0], -np.sin(turn.position)], axis=1)
+    np.testing.assert_allclose(data["place_arm.end"].values[0], place, atol=1e-12)
+    weight = 7850.0 * 1e-4 * length * 9.81
+    np.testing.assert_allclose(data.shaking_force.sel(component="z").values[0], -weight, rtol=1e-9)
+    # The weight in the middle of the arm, about a point on x.
+    moment = weight * (0.5 * place[:, 0] - point[0])
+    np.testing.assert_allclose(data.shaking_moment.sel(component="y").values[0], moment, atol=1e-12)
+    assert data.shaking_moment.attrs["units"] == "N m" and data.position.attrs["units"] == "rad"
+    np.testing.assert_allclose(table["shaking_moment_y_Nm"], moment, atol=1e-12)
+    np.testing.assert_allclose(table["arm.end_x_m"], place[:, 0], atol=1e-12)
+    np.testing.assert_allclose(data.force.sel(joint="A").values[0], turn.loads["A"].force)
+    assert "on the base" in str(turn) and "The drive holds with" in str(turn) and "<table" in turn._repr_html_()
 
 
 def test_turns_that_cannot_be_are_refused():

@@ -19,8 +19,12 @@ from rfem_jax import (
     Problem,
     RungeKutta4,
     Simulation,
+    StaticProblem,
     discretise,
+    inverse_dynamics,
+    kinetostatic_turn,
     simulate,
+    static_loads,
 )
 from tests.derivatives import check_derivatives
 from tests.mechanisms import arm, body
@@ -122,6 +126,57 @@ def test_derivatives_agree_in_both_modes():
         return jnp.stack([found[name] for name in names])
 
     check_derivatives(values, [4e-4, 3e-3], [1e-5, 1e-5], reverse=1e-9, differences=1e-5, floor=1e-3)
+
+
+def test_a_given_motion_shakes_the_base_as_the_simulation_of_it_does():
+    mechanism, _ = shaken(shaking_point=ABOUT)
+    model, rate = discretise(mechanism), {"A": RATE}
+    run = simulate(simulation_of(mechanism, duration=0.1), record="shaking")
+    still = inverse_dynamics(model, {"A": -0.4 + RATE * np.asarray(run.times)}, rate, {}, record="shaking")
+    for load in ("force", "moment"):
+        exact = np.asarray(getattr(run.recorded["shaking"], load))
+        found = getattr(still.recorded["shaking"], load)
+        np.testing.assert_allclose(found, exact, rtol=0, atol=1e-5 * np.abs(exact).max())
+
+
+@pytest.mark.slow
+def test_a_mechanism_at_rest_weighs_on_its_base():
+    """At rest the base carries the weight and what is given; it has its moment about the stated point."""
+    mechanism, bodies = shaken(shaking_point=ABOUT)
+    model, positions = discretise(mechanism), np.array([-0.4, 0.3, 1.2])
+    turn = jax.tree.map(np.asarray, kinetostatic_turn(model, {"crank.length": 1e-3}, positions))
+    push, twist = np.array([3.0, 1.0, -2.0]), np.array([0.5, 0.2, -0.1])
+    moment = twist + np.cross(turn.places["pushed"] - np.array(ABOUT), push)
+    for name, mass, *_ in bodies:
+        moment = moment + np.cross(turn.places[f"{name}_centre"] - np.array(ABOUT), mass * GRAVITY)
+    force = push + sum(mass for _, mass, *_ in bodies) * GRAVITY
+    np.testing.assert_allclose(turn.shaking.force, np.broadcast_to(force, (3, 3)), atol=1e-8)
+    np.testing.assert_allclose(turn.shaking.moment, moment, atol=1e-8)
+    rest = static_loads(model, {"crank.length": 1e-3}, {"A": positions}, record="shaking")
+    np.testing.assert_allclose(rest.recorded["shaking"].moment, moment, atol=1e-8)
+    assert kinetostatic_turn(discretise(shaken()[0]), positions=positions[:1]).shaking is None
+
+
+@pytest.mark.slow
+def test_metrics_at_rest_and_derivatives_of_turns_agree_in_both_modes():
+    model = discretise(arm(shaking_point=ABOUT))
+    problem = StaticProblem(
+        model, ("max_shaking_force", "max_shaking_moment", "peak_shaking_moment"), {"A": [0.2, 1.0]}
+    )
+
+    def values(errors):
+        wrong = {"arm.length": errors[0], "A.delta_x": errors[1]}
+        turn = kinetostatic_turn(model, wrong, np.array([0.2, 1.0]))
+        return jnp.concatenate([jnp.stack([*problem(wrong)[0].values()]), turn.shaking.moment.ravel()])
+
+    found = check_derivatives(values, [4e-4, 3e-3], [1e-5, 1e-5], reverse=1e-8, differences=1e-4, floor=1e-3)
+    weight, lengths = 7850.0 * 1e-4 * 9.81, 0.3 + 4e-4
+    moments = np.linalg.norm(found.values[3:].reshape(2, 3), axis=1)
+    values = dict(zip(sorted(one.name for one in problem.metrics), found.values))
+    np.testing.assert_allclose(values["max_shaking_force"], weight * lengths, rtol=1e-9)
+    np.testing.assert_allclose(values["max_shaking_moment"], moments.max(), rtol=1e-9)
+    with pytest.raises(InputError, match="`rms_shaking_force` is of a motion"):
+        StaticProblem(model, ("rms_shaking_force",))
 
 
 def test_a_run_that_is_not_asked_records_nothing():

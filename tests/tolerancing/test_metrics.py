@@ -23,7 +23,7 @@ from rfem_jax import (
     register_metric,
     sensitivity,
 )
-from rfem_jax.description.metrics.catalogue import JOINT_METRICS, RUN_METRICS
+from rfem_jax.description.metrics.catalogue import JOINT_METRICS, POINT_METRICS, RUN_METRICS
 from rfem_jax.tolerancing.problems import metrics
 from tests.derivatives import check_derivatives
 from tests.mechanisms import arm, link
@@ -122,10 +122,11 @@ def test_only_joints_with_a_coordinate_have_a_motion():
 
 @pytest.fixture
 def registered():
-    """Two metrics of a program that uses the package; the catalogue is the same afterwards."""
-    kept = [(catalogue, dict(catalogue)) for catalogue in (JOINT_METRICS, RUN_METRICS)]
+    """Three metrics of a program that uses the package; the catalogue is the same afterwards."""
+    kept = [(catalogue, dict(catalogue)) for catalogue in (JOINT_METRICS, POINT_METRICS, RUN_METRICS)]
     register_metric("tip", "m", lambda run: run.motion.ends["arm"][-1, 0], label="horizontal place of the tip")
     register_metric("pull", "N", lambda run, joint: run.loads[joint].force[-1, 0], of_joints=True)
+    register_metric("reach", "m", lambda run, point: jnp.linalg.norm(run.points[point].position[-1]), of_points=True)
     yield
     for catalogue, entries in kept:
         catalogue.clear()
@@ -152,7 +153,7 @@ def build(model, names):
 
 @pytest.mark.slow
 def test_a_registered_metric_runs_through_a_problem_and_sensitivities_to_their_table(registered, pendulum):
-    problem = build(pendulum, ("tip", "A.pull", "end_energy"))
+    problem = build(pendulum, ("tip", "A.pull", "end_energy", "arm.end.reach"))
     assert problem.metrics[0] is metric("tip") and problem.metrics[1].label == "pull in A"
     found = sensitivity(problem, order=1, scale={"arm.length": "1 mm", "A.delta_x": "0.5 deg"})
     end = 0.5 + RATE * DURATION
@@ -160,6 +161,9 @@ def test_a_registered_metric_runs_through_a_problem_and_sensitivities_to_their_t
     assert found.value[0] == pytest.approx(0.3 * np.cos(end), rel=1e-9)
     assert found.gradient[0, 0] == pytest.approx(np.cos(end), rel=1e-9)
     assert found.gradient_scaled[0, 0] == pytest.approx(1e-3 * np.cos(end), rel=1e-9)
+    # However it is turned, the end of the arm is as far from the hinge as the arm is long.
+    assert problem.metrics[3].label == "reach of arm.end"
+    assert found.value[3] == pytest.approx(0.3, rel=1e-12) and found.gradient[3, 0] == pytest.approx(1.0, rel=1e-9)
     rows = {(row["metric"], row["error"]): row for row in found.rows()}
     assert rows["tip", "arm.length"]["gradient"] == found.gradient[0, 0]
     assert np.isfinite(rows["A.pull", "arm.length"]["gradient"])
@@ -171,6 +175,8 @@ def test_a_problem_refuses_metrics_that_it_cannot_compute(registered, pendulum):
     for names, words in (
         ("tipp", "did you mean `tip`"),
         ("Q.pull", "of joints of the model"),
+        ("Q.reach", "name a joint or an end of a link"),
+        ("A@1ms.reach", "of the whole path"),
         (Metric("y", "N"), "must hold metrics with a function of a run, but 'y' has no function"),
         (("tip", "tip"), "`tip` occurs twice"),
         ((), "at least one name"),

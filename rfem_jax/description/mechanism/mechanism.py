@@ -8,8 +8,8 @@ Source: docs/theory/1_discretisation.md, docs/theory/2_frames_and_errors.md.
 """
 
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from rfem_jax.description.basics.errors import (
@@ -33,10 +33,10 @@ from rfem_jax.description.mechanism.forces import Force, JointForce, JointFricti
 from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.links import Link
 from rfem_jax.description.mechanism.point_forces import PointLoad
-from rfem_jax.description.mechanism.points import Point
+from rfem_jax.description.mechanism.points import NamedPoint, Point, named_points, read_points
 from rfem_jax.description.tolerances.error_catalogue import LINK_ERRORS, error_unit
 
-Part = TypeVar("Part", Link, Joint, Force, Point)
+Part = TypeVar("Part", Link, Joint, Force)
 
 ELEMENTS = ("linear", "geometrically_exact")
 REACTIONS = PLANAR, MINIMUM_NORM, REFUSE = "planar", "minimum_norm", "refuse"
@@ -72,7 +72,8 @@ class Mechanism(NumberTree, ChecksItself):
             objects at them, DistributedForce objects along links; Coupling objects between two joint coordinates.
         reaction_length: length [m], > 0, over which moments count beside forces in the sum of squares of
             "minimum_norm"; None: that of the longest link.
-        points: Point objects, whose paths runs follow.
+        points: Point objects, whose paths runs follow, and names of joints, as "B", and of ends of links, as
+            "coupler.end", for the paths of their centres and of these ends.
         shaking_point: (x, y, z) [m] in global axes, about which the moment on the base is taken; given, studies report
             what shakes the base; None: the origin of the base.
         base: a Base, whose places move apart with its temperature; None: they stay.
@@ -116,7 +117,7 @@ class Mechanism(NumberTree, ChecksItself):
         checks.convert("elements", require_choice, ELEMENTS, "elements")
         checks.convert("start", require_choice, STARTS, "start")
         checks.convert("forces", _unique, Force, "forces")
-        checks.convert("points", _unique, Point, "points")
+        checks.convert("points", read_points)
         if self.shaking_point is not None:
             checks.convert("shaking_point", number_vector, "length", "shaking_point")
         if self.base is not None:
@@ -148,18 +149,32 @@ class Mechanism(NumberTree, ChecksItself):
         problems.refuse()
 
     def _check_points(self) -> None:
-        links, problems = {link.name: link for link in self.links}, Problems()
-        owners = dict.fromkeys(links, "link") | {joint.name: "joint" for joint in self.joints}
-        owners |= {force.name: "force" for force in self.forces}
-        for point in self.points:
+        links, known, problems = {link.name: link for link in self.links}, self.named_points, Problems()
+        forces = dict.fromkeys((force.name for force in self.forces), "force")
+        others = dict.fromkeys(links, "link") | forces
+        owners = dict.fromkeys(links, "link") | {joint.name: "joint" for joint in self.joints} | forces
+        found: list[Point] = []
+        for one in self.points:
+            one = one.name if isinstance(one, NamedPoint) else one  # joints and links may have been replaced since
             with problems.noted():
-                if point.name in owners:
+                if isinstance(one, str) and one not in known:
                     raise InputError(
-                        f"Argument `points` must have names of their own, but there is a {owners[point.name]} "
-                        f"`{point.name}`, too, and `{point.name}.x` could be of either; rename the point."
+                        "Argument `points` must name joints and ends of links, but the mechanism has no such "
+                        f"`{one}`; {suggestion(one, known)}"
+                    )
+                point = known[one] if isinstance(one, str) else one
+                named = isinstance(point, NamedPoint)
+                other = (others if named else owners).get(point.name)
+                if other:
+                    raise InputError(
+                        f"Argument `points` must have names of their own, but there is a {other} "
+                        f"`{point.name}`, too, and `{point.name}.x` could be of either; rename the "
+                        f"{other if named else 'point'}."
                     )
                 point.require_links(links)
+                found.append(point)
         problems.refuse()
+        object.__setattr__(self, "points", tuple(found))
 
     def _check_rates(self) -> None:
         rated = [joint.name for joint in self.joints if any(rate is not None for rate in joint.start_rates)]
@@ -180,6 +195,18 @@ class Mechanism(NumberTree, ChecksItself):
     def joint(self, name: str) -> Joint:
         """Return the joint `name`; raises InputError with the nearest name if there is none."""
         return _find(self.joints, name, "joint")
+
+    @property
+    def named_points(self) -> dict[str, NamedPoint]:
+        """The points that have names already, by these: centres of joints, as "B", and ends of links, as
+        "coupler.end"."""
+        return named_points(self.links, self.joints)
+
+    def following(self, names: Iterable[str]) -> "Mechanism":
+        """This mechanism with the points among `names` that have names already, whose paths runs then follow."""
+        known, own = self.named_points, {point.name for point in self.points}
+        added = [known[name] for name in dict.fromkeys(names) if name in known and name not in own]
+        return replace(self, points=(*self.points, *added)) if added else self
 
     @property
     def joint_forces(self) -> tuple[JointForce, ...]:

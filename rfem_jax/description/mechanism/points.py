@@ -3,16 +3,19 @@
 Place in the pipeline: `Mechanism` holds them; a run follows them, and metrics measure their paths.
 
 A point is given in the frame of its link; on a flexible link the rfe whose segment it lies in carries it, so that its
-path has the link's deformation in it. Source: theory (8.17) to (8.25).
+path has the link's deformation in it. The centres of joints and the ends of links are points that have names already,
+as "B" and "coupler.end". Source: theory (8.17) to (8.25).
 """
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError, require_name, suggestion
 from rfem_jax.description.basics.numbers import ANY, Fields, NumberTree, is_known
 from rfem_jax.description.basics.units import Quantity
+from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.links import Link, place_on_link
 
 if TYPE_CHECKING:
@@ -20,6 +23,7 @@ if TYPE_CHECKING:
 else:
     Place = Quantity
 
+START, END = "start", "end"
 _ROUNDING = 1e-12  # a position at the end of a link may exceed its length by rounding
 
 
@@ -78,3 +82,52 @@ class Point(NumberTree, ChecksItself):
                 f"Argument `position` {of} must lie on the flexible link `{self.link}` (x from 0 to {link.length} m), "
                 f"but has x = {x} m; move it, or make the link rigid."
             )
+
+
+@dataclass(frozen=True)
+class NamedPoint(Point):
+    """A point that has a name already, of which the model knows the place.
+
+    Args:
+        name: of a joint, as "B", for its centre on its child; or of an end of a link, as "coupler.start" and
+            "coupler.end".
+        link: the link that carries it.
+    """
+
+    position: Any = None
+
+    numbers: ClassVar[Fields] = {}
+
+    def _check_fields(self, checks: Checks) -> None:
+        """It is made of names that are there."""
+
+    def require_links(self, links: Mapping[str, Link]) -> None:
+        """It is of one of `links`."""
+
+
+def link_end(name: str) -> tuple[str, bool] | None:
+    """The link of a point with a name as "coupler.end", and whether it is the far end; None of other names."""
+    link, _, end = name.rpartition(".")
+    return (link, end == END) if link and end in (START, END) else None
+
+
+def named_points(links: Iterable[Link], joints: Iterable[Joint]) -> dict[str, NamedPoint]:
+    """The points that have names already, by these: the ends of links, and the centres of joints."""
+    carriers = {f"{link.name}.{end}": link.name for link in links for end in (START, END)}
+    carriers |= {joint.name: joint.child for joint in joints}
+    return {name: NamedPoint(name, link) for name, link in carriers.items()}
+
+
+def read_points(entries: Any) -> tuple[Point | str, ...]:
+    """Points, and names of those that have names already. Raises InputError."""
+    if not isinstance(entries, (list, tuple)) or any(not isinstance(one, (Point, str)) for one in entries):
+        raise InputError(
+            "Argument `points` must be a list of Point objects, and of names of joints and ends of links, but was "
+            f'{entries!r}; write for example [Point("P", "coupler", 0.1), "B", "coupler.end"].'
+        )
+    names = Counter(one if isinstance(one, str) else one.name for one in entries)
+    if twice := [name for name, count in names.items() if count > 1]:
+        raise InputError(
+            *(f"Argument `points` must have unique names, but `{name}` occurs twice; rename one." for name in twice)
+        )
+    return tuple(entries)

@@ -101,6 +101,7 @@ def register_metric(
     even: bool | None = None,
     of_joints: bool = False,
     of_links: bool = False,
+    of_points: bool = False,
     nonnegative: bool = False,
     had_by: Callable[[JointKind, bool], bool] | None = None,
     records: tuple[str, ...] = (),
@@ -112,8 +113,7 @@ def register_metric(
     at_rest: bool = False,
     replace: bool = False,
 ) -> None:
-    """Add a metric to the catalogue. From then on its name is known everywhere: in `Problem`, in all tolerance
-    studies and their tables, and in study files that are loaded afterwards.
+    """Add a metric to the catalogue: its name is known everywhere then, in study files that are loaded afterwards, too.
 
         register_metric("swing", "rad", lambda run: jnp.max(run.motion.angle), label="largest crank angle")
         register_metric("end_force", "N", lambda run, joint: run.loads[joint].force[-1, 0], of_joints=True)
@@ -121,18 +121,19 @@ def register_metric(
         problem = Problem(simulation, ("swing", "A.end_force"))
 
     Args:
-        name: letters, digits, "_" and "-"; a metric of joints is then named "JOINT.name", one of links "LINK.name".
+        name: letters, digits, "_" and "-"; a metric of joints is then named "JOINT.name", one of links "LINK.name",
+            one of points "POINT.name".
         unit: of the value, such as "N" or "rad"; "" for a plain number.
-        function: `function(run)`, or with `of_joints` and `of_links` `function(run, name)` with the name of the joint
-            or the link, returns a scalar in that unit. It is traced and differentiated: write it with `jax.numpy`.
-        label: for tables and pictures; "{joint}" ("{link}") stands for the name. Made of the name if left out.
+        function: `function(run)`, or with `of_joints`, `of_links` and `of_points` `function(run, name)` with the name
+            of the joint, the link or the point, returns a scalar in that unit. It is traced and differentiated: write
+            it with `jax.numpy`.
+        label: for tables and pictures; "{joint}" ("{link}", "{point}") stands for the name. Left out: made of the name.
         even: True if the value does not change with the sign of all out-of-plane errors (theory (9.3)), else None.
-        of_joints: True for a metric that every joint has.
-        of_links: True for a metric that every link has.
+        of_joints, of_links, of_points: True for a metric that every joint, link or point (`run.points[name]`) has.
         nonnegative: True if the value is never negative; a limit in a study file must then be positive.
         had_by: `had_by(kind, cut)`, whether a joint of a kind, cut or not, has this metric of joints; all if left out.
-        records: what the function reads of `run.recorded`, as `simulate` names it ("{owner}" stands for the joint or
-            the link), as ("{owner}.sections",); runs for other metrics do not record it.
+        records: what the function reads of `run.recorded`, as `simulate` names it ("{owner}" stands for the joint, the
+            link or the point), as ("{owner}.sections",); runs for other metrics do not record it.
         description: a sentence about what it is.
         at_start: True for what the start at rest decides alone, such as a preload; no step has a part in it.
         note: what a reader of the value must know, as "below the maximum"; it is told wherever values are.
@@ -141,32 +142,34 @@ def register_metric(
         at_rest: True if `function` may read a `StaticLoads`, too, which has positions in the place of saved times.
         replace: True to replace a metric of the same name.
     Raises: InputError for a name that is no plain word or is taken, for a function that cannot be called, and for a
-        metric that is of joints and of links.
+        metric that is of several of joints, links and points.
     """
-    _require_fitting(name, function, of_joints and of_links)
+    of = _fitting_owner(name, function, {"joint": of_joints, "link": of_links, "point": of_points})
     if not replace:
         _require_new(name)
-    of = "joint" if of_joints else "link" if of_links else "run"
-    label = label or name.replace("_", " ") + ("" if of == "run" else f" in {{{of}}}")
+    label = label or name.replace("_", " ") + ("" if of == "run" else f" {'of' if of_points else 'in'} {{{of}}}")
     for catalogue in CATALOGUES.values():
         catalogue.pop(name, None)
     about = had_by, tuple(records), description, None, at_start, note, kinked, equation
     add_metric(MetricKind(name, unit, function, label, even, of, nonnegative, *about, at_rest=at_rest))
 
 
-def _require_fitting(name: str, function: Callable[..., Any], both: bool) -> None:
-    """Raise InputError for arguments of `register_metric` that do not fit; `both`: of joints and of links."""
+def _fitting_owner(name: str, function: Callable[..., Any], asked: Mapping[str, bool]) -> str:
+    """What a metric is of, "run" if nothing is `asked`. Raises InputError for arguments of `register_metric` that do
+    not fit."""
+    owners = [one for one, true in asked.items() if true]
     require_name(name, "name")
     if not callable(function):
         raise InputError(
             f"Argument `function` of the metric `{name}` must be a function of a run, but is {function!r}; "
             "write for example `lambda run: run.motion.angle[-1]`."
         )
-    if both:
+    if len(owners) > 1:
         raise InputError(
-            f"Argument `of_links` of the metric `{name}` must be left out for a metric of joints, but both are true; "
-            "register two metrics."
+            f"Argument `of_{owners[1]}s` of the metric `{name}` must be left out for a metric of {owners[0]}s, but "
+            "both are true; register two metrics."
         )
+    return (*owners, "run")[0]
 
 
 def _require_new(name: str) -> None:

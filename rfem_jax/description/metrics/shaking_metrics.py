@@ -45,10 +45,10 @@ def _register(load: str, unit: str, squared: str, words: str) -> None:
     _add(f"rms_{name}", unit, f"RMS shaking {load}", lambda run: power_of(_mean_square(run, load), 1, 2),
          f"root of the mean square over time of {of}", equation="(8.28)")  # fmt: skip
     _add(f"max_{name}", unit, f"largest shaking {load}", lambda run: power_of(jnp.max(_squares(run, load)), 1, 2),
-         f"largest saved size of {of}", kinked=True, note=OF_SAVED, equation="(8.28)")  # fmt: skip
+         f"largest saved size of {of}", kinked=True, note=OF_SAVED, equation="(8.28)", at_rest=True)  # fmt: skip
     _add(f"peak_{name}", unit, f"16-norm of the shaking {load}, below its maximum",
          lambda run: p_norm(getattr(run.recorded[RECORD], load)), f"{BELOW}, of {of}",
-         note=f"{BELOW}, which is `max_{name}`", equation="(8.7)")  # fmt: skip
+         note=f"{BELOW}, which is `max_{name}`", equation="(8.7)", at_rest=True)  # fmt: skip
 
 
 _register("force", "N", "N^2", "force of the mechanism on its base, weight included")

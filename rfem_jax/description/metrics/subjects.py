@@ -43,12 +43,13 @@ class CouplingSubject(NamedTuple):
 
 
 class MetricSubjects(NamedTuple):
-    """All joints, links, points and couplings by their names."""
+    """All joints, links, points and couplings by their names; named: names of the points that have names already."""
 
     joints: dict[str, JointSubject]
     links: dict[str, LinkSubject]
     points: dict[str, PointSubject] = {}  # noqa: RUF012  # never changed
     couplings: dict[str, CouplingSubject] = {}  # noqa: RUF012  # never changed
+    named: tuple[str, ...] = ()
 
     @property
     def friction(self) -> bool:
@@ -83,7 +84,13 @@ def subjects_of(mechanism: Mechanism) -> MetricSubjects:
     }
     points = {one.name: PointSubject(bool(driven)) for one in mechanism.points}
     couplings = {one.name: CouplingSubject(one.turns[1]) for one in mechanism.couplings}
-    return MetricSubjects(joints, links, points, couplings)
+    return MetricSubjects(joints, links, points, couplings, tuple(mechanism.named_points))
+
+
+def points_of(names: Iterable[str]) -> tuple[str, ...]:
+    """The points that metrics by their names are of, each once."""
+    pairs = map(kind_and_owner, names)
+    return tuple(dict.fromkeys(path_instant(owner).point for kind, owner in pairs if kind and kind.of == "point"))
 
 
 def divided(owner: str) -> tuple[str, float]:
@@ -127,6 +134,8 @@ def require_metric(name: str, subjects: MetricSubjects, whole: str, of: str = ""
     wanted, _, _ = owner.partition("@")
     if kind.of == "link":
         divided(owner)
+    if kind.of == "point" and wanted in subjects.named:
+        known = {**known, wanted: PointSubject(subjects.driven)}
     if kind.of == "point" and "@" in owner and not kind.instant:
         raise InputError(
             f"Argument `metrics`{of} must name an instant of a metric that has one, but `{name}` is of the whole path; "
@@ -139,8 +148,9 @@ def require_metric(name: str, subjects: MetricSubjects, whole: str, of: str = ""
         )
     if kind.of == "point" and not known:
         raise InputError(
-            f"Argument `metrics`{of} must fit the {whole}, but `{name}` is of a point and it has none; add a table "
-            "[[mechanism.points]] with `name`, `link` and `position`, or `Point` objects."
+            f"Argument `metrics`{of} must fit the {whole}, but `{name}` is of a point and it has none of this "
+            "name; name a joint or an end of a link, as `B` and `coupler.end`, add a table [[mechanism.points]] with "
+            "`name`, `link` and `position`, or `Point` objects."
         )
     if kind.of == "coupling" and not known:
         raise InputError(
@@ -148,9 +158,10 @@ def require_metric(name: str, subjects: MetricSubjects, whole: str, of: str = ""
             "[[mechanism.couplings]], or `Coupling` objects among its `forces`."
         )
     if wanted not in (*known, "*"):
+        near = (*known, *subjects.named) if kind.of == "point" else known
         raise InputError(
             f"Argument `metrics`{of} must be of {kind.of}s of the {whole}, but it has no {kind.of} `{owner}` for "
-            f"`{name}`; {suggestion(wanted, known)}"
+            f"`{name}`; {suggestion(wanted, near)}"
         )
     having = [one for one, subject in known.items() if refusal_of(kind, subject) is None]
     if wanted == "*" and having:

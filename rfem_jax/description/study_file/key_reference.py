@@ -57,7 +57,8 @@ _IN_A_FILE = {  # where a file has something else than the class
     "springs": "tables [[mechanism.springs]], as well as those of [[mechanism.forces]]",
     "forces": "tables [[mechanism.forces]]",
     "couplings": "tables [[mechanism.couplings]] between coordinates of two joints",
-    "points": "tables [[mechanism.points]], whose paths runs follow",
+    "points": "tables [[mechanism.points]], whose paths runs follow, or a list of names of joints and ends of links, "
+    'as ["B", "coupler.end"]',
     "base": "the table [mechanism.base], of a base that grows with its temperature",
     "section": "name of a table [mechanism.sections.NAME] (a rigid link needs it for its mass, unless it has a body)",
     "material": 'name of a table [mechanism.materials.NAME]; none with a section of shape "given"',

@@ -6,6 +6,7 @@ Place in the pipeline: `Study` -> **sentences**, which commands say before they 
 import math
 from collections.abc import Iterator
 
+from rfem_jax.description.mechanism.points import NamedPoint
 from rfem_jax.description.parameters.deviations import deviation_unit
 from rfem_jax.description.study_file.study import Study
 
@@ -28,6 +29,8 @@ def doubtful_numbers(study: Study) -> list[str]:
         if link.length > MOST_UNEQUAL * shortest
     ]
     for point in study.mechanism.points:
+        if isinstance(point, NamedPoint):
+            continue
         distance = math.hypot(*point.place)
         if distance > FARTHEST_POINT * longest:
             sentences.append(

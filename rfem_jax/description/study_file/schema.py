@@ -54,7 +54,7 @@ def study_schema() -> Schema:
         "springs": _list_of(those("[[mechanism.springs]]")),
         "forces": _list_of(those("[[mechanism.forces]]")),
         "couplings": _list_of([one("[[mechanism.couplings]]")]),
-        "points": _list_of([one("[[mechanism.points]]")]),
+        "points": _list_of([{"type": "string"}, one("[[mechanism.points]]")]),
         "base": one("[mechanism.base]"),
     }
     drives = those("[drive]")

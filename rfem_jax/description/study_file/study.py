@@ -42,7 +42,7 @@ from rfem_jax.description.methods import Automatic, Method
 from rfem_jax.description.metrics.catalogue import require_at_rest
 from rfem_jax.description.metrics.path_metrics import REPORTED
 from rfem_jax.description.metrics.shaking_metrics import with_shaking
-from rfem_jax.description.metrics.subjects import require_metric, subjects_of
+from rfem_jax.description.metrics.subjects import points_of, require_metric, subjects_of
 from rfem_jax.description.parameters.design_table import read_design
 from rfem_jax.description.parameters.deviations import known_while_reading, require_signs, require_sizes
 from rfem_jax.description.study_file.statics import Statics
@@ -341,7 +341,8 @@ class Study(ChecksItself):
     def _resolve_metrics(self) -> None:
         subjects = subjects_of(self.mechanism_at_rest if self.duration is None else self.mechanism)
         found = [one for name in self.metrics for one in require_metric(name, subjects, "mechanism")]
-        owners = {name.partition(".")[0].partition("@")[0] for name in found}
+        owners = points_of(found)
+        object.__setattr__(self, "mechanism", self.mechanism.following(owners))
         silent = [point.name for point in self.mechanism.points if point.name not in owners]
         found += [f"{point}.{kind}" for point in silent for kind in REPORTED]
         found = with_shaking(found, self.mechanism)

@@ -80,7 +80,7 @@ def read_mechanism(table: object) -> Mechanism:
     parts = {key: content[key] for key in _MECHANISM_OPTIONS if key in content}
     parts["links"] = all_of("links", _read_link, materials, sections)
     joints, springs, forces = all_of("joints", read_joint), all_of("springs", read_spring), all_of("forces", read_force)
-    parts["points"] = all_of("points", partial(read_table, Point))
+    parts["points"] = problems.attempt(_read_points, content.get("points", []))
     couplings = all_of("couplings", partial(read_table, Coupling))
     if "base" in content:
         parts["base"] = problems.attempt(read_table, Base, content["base"], "[mechanism.base]")
@@ -89,6 +89,13 @@ def read_mechanism(table: object) -> Mechanism:
     if ABSENT not in (joints, springs, forces, couplings):
         parts["forces"] = [*(one for _, some in joints for one in some), *springs, *forces, *couplings]
     return build(Mechanism, parts, place, problems)
+
+
+def _read_points(entries: Any) -> list[Point | str]:
+    """Points of tables, and names of those that have names already."""
+    names = [one for one in entries if isinstance(one, str)] if isinstance(entries, list) else []
+    tables = [one for one in entries if not isinstance(one, str)] if names else entries
+    return [*read_list(tables, "[[mechanism.points]]", partial(read_table, Point)), *names]
 
 
 def read_drive(table: object, place: str = "[drive]") -> AnyDrive:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 from rfem_jax.description.basics.errors import Checks, InputError, require_choice, require_flag, suggestion
 from rfem_jax.description.mechanism.mechanism import Mechanism
-from rfem_jax.description.metrics.catalogue import kind_and_owner
+from rfem_jax.description.metrics.subjects import points_of
 from rfem_jax.description.tasks.settings import (
     MOST_AT_ONCE,
     MOST_SAMPLES,
@@ -76,10 +76,11 @@ class MonteCarloTask(Task):
 
     def resolved(self, mechanism: Mechanism, name: str) -> "MonteCarloTask":
         """As `Task.resolved`; bands must be of points of the mechanism."""
-        task, known = super().resolved(mechanism, name), [point.name for point in mechanism.points]
+        task = super().resolved(mechanism, name)
         assert isinstance(task, MonteCarloTask)
+        owners, own = points_of(task.metrics), [point.name for point in mechanism.points]
+        known = [*own, *(point for point in owners if point not in own)]
         if task.bands is None:
-            owners = {kind_and_owner(metric)[1].partition("@")[0] for metric in task.metrics}
             return replace(task, bands=tuple(point for point in known if point in owners))
         for point in task.bands:
             if point not in known:

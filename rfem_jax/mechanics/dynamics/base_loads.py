@@ -5,7 +5,6 @@ Place in the pipeline: loads, force elements -> **base loads** -> simulation.
 Source: theory (8.27).
 """
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -14,9 +13,9 @@ from jaxtyping import Float
 
 from rfem_jax.mechanics.algebra.vectors import cross, wrench_at_origin
 from rfem_jax.mechanics.forces.element_loads import FrameLoads
-from rfem_jax.mechanics.laws.frame_forces import FrameForce
 from rfem_jax.mechanics.laws.point_laws import GivenLoad
-from rfem_jax.mechanics.model.model import BASE
+from rfem_jax.mechanics.model.model import BASE, Model
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 
 class ShakingLoad(NamedTuple):
@@ -28,17 +27,14 @@ class ShakingLoad(NamedTuple):
 
 
 def shaking_load(
-    base: Float[Array, "6"],
-    elements: Mapping[str, FrameForce],
-    at_nodes: FrameLoads | None,
-    point: Float[Array, "3"] | None,
+    model: Model, actual: ModelWithErrors, base: Float[Array, "6"], at_nodes: FrameLoads | None
 ) -> ShakingLoad:
-    """The resultant of all that acts on the base; `base`: wrench at the global origin that the base exerts by its
-    joints; `elements` by their names and what they exert; `point` [m]: the global origin if None.
+    """The resultant of all that acts on the base, about the model's point; `base`: wrench at the global origin that
+    the base exerts by its joints; `at_nodes`: what the elements exert.
 
     A given force or moment comes from elsewhere than the base, and does not act on it.
     """
-    wrench = -base
+    wrench, elements = -base, {} if actual.frame_forces is None else actual.frame_forces.elements
     for name, element in elements.items():
         if isinstance(element, GivenLoad):
             continue
@@ -47,5 +43,5 @@ def shaking_load(
         for end, sign in ((element.child, 1.0), (element.parent, -1.0)):
             if end.node == BASE:
                 wrench = wrench + sign * wrench_at_origin(exerted.moment, exerted.force, exerted.place)
-    point = jnp.zeros(3) if point is None else point
+    point = jnp.zeros(3) if model.shaking_point is None else model.shaking_point
     return ShakingLoad(wrench[3:], wrench[:3] - cross(point, wrench[3:]), point)

@@ -21,6 +21,7 @@ from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.links import GRADIENTS, Link
 from rfem_jax.description.mechanism.mechanism import EQUILIBRIUM, MINIMUM_NORM, Mechanism
 from rfem_jax.description.mechanism.point_forces import AtPoint, BetweenPoints
+from rfem_jax.description.mechanism.points import NamedPoint
 from rfem_jax.description.parameters.parts import Parts, parts_of
 from rfem_jax.mechanics.laws.bearings import bearing_capacities
 from rfem_jax.mechanics.laws.clearances import clearance_name, pin_in_bush
@@ -32,6 +33,7 @@ from rfem_jax.mechanics.laws.joint_springs import CompliantSpring, compliant_spr
 from rfem_jax.mechanics.laws.line_loads import LineLoad, line_load
 from rfem_jax.mechanics.laws.point_laws import load_at, spring_between
 from rfem_jax.mechanics.model.model import BASE, CarriedPoint, Model, Sections, Topology, rfe_fractions
+from rfem_jax.mechanics.model.named_points import with_named_points
 from rfem_jax.mechanics.model.orientations import quaternion_of_angles
 from rfem_jax.mechanics.model.sources import ForceNodes, source_of
 from rfem_jax.mechanics.model.warmth import warmed
@@ -74,7 +76,11 @@ def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], 
     masses = [(i, mass) for i, link in enumerate(links) for mass in _masses_of(link)]
     acted = _force_nodes(mechanism, discretised)
     ideal = [one for one in mechanism.couplings if one.ideal]
-    followed = ((one.name, (discretised.attach(one.link, one.place, False).node,)) for one in parts.points)
+    followed = (
+        (one.name, (discretised.attach(one.link, one.place, False).node,))
+        for one in parts.points
+        if not isinstance(one, NamedPoint)
+    )
     topology = Topology(
         links=tuple(link.name for link in links),
         joints=tuple(j.name for j in joints),
@@ -141,6 +147,7 @@ def arrays_of(parts: Parts, structure: PartStructure) -> Model:
         shaking_point=None if parts.shaking_point is None else _array(parts.shaking_point),
         curvature=_curvatures(links),
     )
+    model = with_named_points(model, [one.name for one in parts.points if isinstance(one, NamedPoint)])
     return _with_clearances(model, joints) if topology.clearances else model
 
 
@@ -300,6 +307,8 @@ def _carried_points(
     """The points whose paths are followed, by their names."""
     carriers, carried = dict(nodes), {}
     for point in parts.points:
+        if isinstance(point, NamedPoint):
+            continue
         (node,) = carriers[point.name]
         position = jnp.asarray(array_of(_node_place(topology, links, node, point.place, False)), jnp.float64)
         observer = BASE if point.relative_to == "base" else topology.links.index(point.relative_to)

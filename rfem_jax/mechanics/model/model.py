@@ -48,11 +48,12 @@ BASE = -1
 
 class CarriedPoint(eqx.Module):
     """A point whose path is followed: the node that carries it and its position (3,) [m] in that node's frame;
-    observer: the link from which it is seen, or the base."""
+    observer: the link from which it is seen, or the base; joint: whose centre on the child it is, None of others."""
 
     node: int = eqx.field(static=True)
     observer: int = eqx.field(static=True)
     position: Float[Array, "3"]
+    joint: int | None = eqx.field(static=True, default=None)
 
 
 class Coordinates(eqx.Module):
@@ -453,8 +454,8 @@ class Model(eqx.Module):
         parts = self.forces, self.friction, self.frame_forces, self.line_loads, self.couplings
         forces = (name for part in parts for name in part or {})
         others = () if self.source is None else self.source.own_names
-        forces = (one.partition(".")[0] for one in forces)
-        return (*self.topology.joints, *self.topology.links, *forces, *(self.points or {}), *others)
+        forces, points = ((one.partition(".")[0] for one in names) for names in (forces, self.points or {}))
+        return (*self.topology.joints, *self.topology.links, *forces, *points, *others)
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -138,7 +138,7 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
             friction=model.friction,
             springs=model.springs,
             reaction_length=model.reaction_length,
-            points=_points(model, scale),
+            points=_points(model, scale, bore[1]),
             possible=possible.astype(float),
             **_spring_damping_elements(model, length),
         )
@@ -186,12 +186,18 @@ def _stretched(topology: Topology, node: int, position: Float[Array, "3"], scale
     return jnp.concatenate([position[:1] * scale[topology.link_of(node)], position[1:]])
 
 
-def _points(model: Model, scale: Array) -> dict[str, CarriedPoint] | None:
-    """The points whose paths are followed, on links that became `scale` times as long."""
+def _points(model: Model, scale: Array, centres: Float[Array, "3 joints"]) -> dict[str, CarriedPoint] | None:
+    """The points whose paths are followed, on links that became `scale` times as long; `centres` of the joints on
+    their children."""
     if model.points is None:
         return None
     return {
-        name: CarriedPoint(one.node, one.observer, _stretched(model.topology, one.node, one.position, scale))
+        name: CarriedPoint(
+            one.node,
+            one.observer,
+            _stretched(model.topology, one.node, one.position, scale) if one.joint is None else centres[:, one.joint],
+            one.joint,
+        )
         for name, one in model.points.items()
     }
 

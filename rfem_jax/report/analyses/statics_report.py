@@ -13,6 +13,7 @@ import numpy as np
 
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.metrics.catalogue import at_rest, notes_on, records_for
+from rfem_jax.description.metrics.shaking_metrics import RECORD
 from rfem_jax.description.study_file.statics import Statics
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.mechanics.model.errors import AssemblyErrors
@@ -93,6 +94,7 @@ def _content(found: LabelledStatics, c: int) -> dict[str, Any]:
     def lists(values: Mapping[str, Any]) -> dict[str, Any]:
         return {name: np.asarray(one).tolist() for name, one in values.items()}
 
+    shaking = result.recorded.get(RECORD)
     ends = {name.rpartition(".")[0]: one for name, one in result.recorded.items() if name.endswith(".deflection")}
     return {
         "status": status_name(result.status),
@@ -107,6 +109,7 @@ def _content(found: LabelledStatics, c: int) -> dict[str, Any]:
         "stress": lists(result.stress),
         "deflection": lists(ends),
         "place": {name: np.asarray(path.position).tolist() for name, path in result.points.items()},
+        **({} if shaking is None else {RECORD: {of: getattr(shaking, of).tolist() for of in ("force", "moment")}}),
         "energy": {part: np.asarray(getattr(result.energy, part)).tolist() for part in ("elastic", "gravity")},
         "metrics": {name: value for name, (value, _) in found.values_of_metrics(c).items()},
         "momentum_balance_error": float(result.checks.momentum_balance_error),

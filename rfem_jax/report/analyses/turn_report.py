@@ -3,21 +3,25 @@
 Place in the pipeline: study, model -> `simulation.turn` -> **turn_report** -> files.
 """
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.compilation.program import Program
+from rfem_jax.description.metrics.catalogue import records_for
+from rfem_jax.description.metrics.shaking_metrics import RECORD
 from rfem_jax.description.study_file.study import Study
+from rfem_jax.labelled_data import text_of
 from rfem_jax.mechanics.forces.bush_contacts import CLOSED, CONTACT_NAMES, carrying
 from rfem_jax.mechanics.model.errors import AssemblyErrors
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.planar_loops import model_reactions_text
-from rfem_jax.mechanics.model.status import STATUS
 from rfem_jax.report.analyses.analysis import errors_of_cases, write_analysis
 from rfem_jax.report.annotations import Figure
 from rfem_jax.report.files import axes_columns, contact_columns, coupling_load_columns
@@ -26,6 +30,7 @@ from rfem_jax.report.pictures import drawn, write_pictures
 from rfem_jax.report.style import add_titles, line_style, new_figure
 from rfem_jax.report.summary import in_legend, joint_names, marked
 from rfem_jax.report.tables import format_table, title_text
+from rfem_jax.simulation.labelled_turn import LabelledTurn
 from rfem_jax.simulation.poses import ClosedPose
 from rfem_jax.simulation.remarks import linear_remark
 from rfem_jax.simulation.turn import Turn, closed_poses, turn_over
@@ -33,7 +38,10 @@ from rfem_jax.text_layout import wrap_lines
 
 
 def compute_turn(study: Study, model: Model, positions: Float[np.ndarray, " positions"], axes: str = "joint") -> Turn:
-    """The turn of all cases, which are the first axis; `axes`: as of `kinetostatic_turn`."""
+    """The turn of all cases, which are the first axis, with what shakes the base if a metric of the study is of that;
+    `axes`: as of `kinetostatic_turn`."""
+    if model.shaking_point is None and RECORD in records_for(study.metrics):
+        model = replace(model, shaking_point=jnp.zeros(3))
     poses = closed_poses(model, positions)
     return jax.tree.map(np.asarray, _of_cases(model, errors_of_cases(study, model), poses, axes))
 
@@ -43,38 +51,9 @@ def _of_cases(model: Model, errors: AssemblyErrors, poses: ClosedPose, axes: str
     return jax.vmap(lambda one: turn_over(model, one, poses, axes))(errors)
 
 
-def statuses(turn: Turn) -> list[str]:
-    """Status of every case: ok, or that of the first position that was not assembled."""
-    return [STATUS[int(codes[codes != 0][0]) if (codes != 0).any() else 0].name for codes in turn.status]
-
-
-def _slides(model: Model) -> bool:
-    driven = model.topology.driven_coordinate
-    return driven is not None and bool(model.topology.slides[driven])
-
-
-def _peaks(study: Study, turn: Turn, c: int) -> dict[str, Any]:
-    """Largest resultants of one case over its assembled positions, and where they are."""
-    good = turn.status[c] == 0
-    found: dict[str, Any] = {"joints": {}, "stress": {}}
-
-    def largest(values):
-        values = np.where(good, np.abs(values), -np.inf)
-        at = int(values.argmax())
-        return (float(values[at]), float(turn.position[c, at])) if good.any() else (float("nan"),) * 2
-
-    for name in joint_names(study):
-        force, where = largest(np.linalg.norm(turn.loads[name].force[c], axis=-1))
-        moment, there = largest(np.linalg.norm(turn.loads[name].moment[c], axis=-1))
-        found["joints"][name] = {
-            "max_force": force, "max_force_at": where, "max_moment": moment, "max_moment_at": there,
-        }  # fmt: skip
-    for name, values in turn.stress.items():
-        stress, where = largest(values[c])
-        found["stress"][name] = {"max_stress": stress, "max_stress_at": where}
-    held = turn.holding[c][good]
-    found["holding"] = {"min": float(held.min()), "max": float(held.max())} if good.any() else None
-    return found
+def labelled(study: Study, turn: Turn) -> LabelledTurn:
+    """The turn of all cases as labelled data."""
+    return LabelledTurn(tuple(case.name for case in study.cases), turn, tuple(joint_names(study)))
 
 
 def _contacts(turn: Turn, c: int) -> dict[str, Any]:
@@ -119,55 +98,37 @@ def _contacts_text(turn: Turn, c: int, scale: float, unit: str) -> str:
 
 
 def _curves(study: Study, turn: Turn, c: int) -> dict[str, Any]:
-    """Position, holding moment or force, resultants and stresses of one case at all positions, NaN (null) where it was
-    not assembled."""
+    """Position, holding moment or force, resultants, places and stresses of one case at all positions, NaN (null) where
+    it was not assembled."""
     good = np.where(turn.status[c] == 0, 1.0, np.nan)
 
     def sizes(load):
         names = joint_names(study)
         return {name: (np.linalg.norm(getattr(turn.loads[name], load)[c], axis=-1) * good).tolist() for name in names}
 
-    return {
+    def components(vectors):
+        return {axis: (values * good).tolist() for axis, values in zip("xyz", vectors[c].T, strict=True)}
+
+    found = {
         "position": turn.position[c].tolist(), "holding": (turn.holding[c] * good).tolist(),
         "force": sizes("force"), "moment": sizes("moment"),
         "stress": {name: (np.abs(values[c]) * good).tolist() for name, values in turn.stress.items()},
+        "place": {name: components(places) for name, places in turn.places.items()},
     }  # fmt: skip
+    if turn.shaking is not None:
+        found |= {f"{RECORD}_{load}": components(getattr(turn.shaking, load)) for load in ("force", "moment")}
+    return found
 
 
 def turn_text(study: Study, model: Model, turn: Turn) -> str:
     """Tables of the largest loads of every case."""
-    unit = "m" if _slides(model) else "deg"
-    scale = 1.0 if _slides(model) else 180.0 / np.pi
-    parts = [title_text(study)]
+    unit = "m" if turn.slides else "deg"
+    scale = 1.0 if turn.slides else 180.0 / np.pi
+    parts, found = [title_text(study)], labelled(study, turn)
     for c, case in enumerate(study.cases):
-        peaks = _peaks(study, turn, c)
-        rows = [
-            [
-                name,
-                f"{one['max_force']:.5g}",
-                f"{scale * one['max_force_at']:.5g}",
-                f"{one['max_moment']:.5g}",
-                f"{scale * one['max_moment_at']:.5g}",
-            ]
-            for name, one in peaks["joints"].items()
-        ]
-        header = ["joint", "max force, N", f"at, {unit}", "max moment, N m", f"at, {unit}"]
-        name = marked(case.name, statuses(turn)[c])
-        text = f"Case {name}: largest loads of the mechanism held still\n{format_table(header, rows)}"
-        if peaks["stress"]:
-            rows = [
-                [name, f"{one['max_stress'] / 1e6:.5g}", f"{scale * one['max_stress_at']:.5g}"]
-                for name, one in peaks["stress"].items()
-            ]
-            text += "\n\n" + format_table(["link", "max stress, MPa", f"at, {unit}"], rows)
+        name = marked(case.name, found.statuses()[c])
+        text = f"Case {name}: largest loads of the mechanism held still\n{text_of(found.parts_of(c))}"
         text += _contacts_text(turn, c, scale, unit)
-        if peaks["holding"] is not None:
-            force = "N" if _slides(model) else "N m"
-            low, high = peaks["holding"]["min"], peaks["holding"]["max"]
-            text += f"\n\nThe drive holds with {low:.5g} to {high:.5g} {force}."
-        failed = int((turn.status[c] != 0).sum())
-        if failed:
-            text += f"\n* {failed} of {turn.status.shape[1]} positions were not assembled ({statuses(turn)[c]})."
         if remark := linear_remark(_linear_error(turn, c)):
             text += f"\nOver this range {remark}"
         parts.append(text)
@@ -183,41 +144,32 @@ def _linear_error(turn: Turn, case: int) -> float:
 
 
 def write_turn(folder: Path, study: Study, model: Model, turn: Turn, axes: str = "joint") -> list[Path]:
-    """Write turn.json (largest loads, and resultants over the positions) and turn.csv (all positions), both with the
-    contacts of joints with clearance; in turn.csv loads of couplings, too."""
-    unit, force = ("m", "N") if _slides(model) else ("rad", "Nm")
-    rows, cases = [], {}
+    """Write turn.json (largest loads, resultants and places over the positions) and turn.csv (all positions), both with
+    the contacts of joints with clearance; in turn.csv loads of couplings, too."""
+    found, (unit, force) = labelled(study, turn), ("m", "N") if turn.slides else ("rad", "N m")
+    rows, cases, more = found.rows(), {}, []
     for c, case in enumerate(study.cases):
-        cases[case.name] = {"status": statuses(turn)[c], **_peaks(study, turn, c), "curves": _curves(study, turn, c)}
+        cases[case.name] = {"status": found.statuses()[c], **found.peaks(c), "curves": _curves(study, turn, c)}
         cases[case.name]["linear_error"] = _linear_error(turn, c)
         if turn.contacts:
             cases[case.name]["contacts"] = _contacts(turn, c)
         states = jax.tree.map(lambda values, c=c: values[c], turn.contacts)
-        contacts = contact_columns(states)
+        columns = contact_columns(states)
         loads = jax.tree.map(lambda values, c=c: values[c], turn.in_axes)
-        turned = axes_columns(study, loads, axes) if loads else {}
         for coupling in study.mechanism.couplings:
-            contacts |= coupling_load_columns(coupling, np.asarray(turn.couplings[coupling.name][c]))
-        for i, position in enumerate(turn.position[c]):
-            row: dict[str, Any] = {"case": case.name, f"position_{unit}": float(position)}
-            row |= {"status": STATUS[int(turn.status[c, i])].name, f"holding_{force}": float(turn.holding[c, i])}
-            row["energy_J"] = float(turn.energy[c, i])
-            for name in joint_names(study):
-                for load, of in (("force", "N"), ("moment", "Nm")):
-                    values = getattr(turn.loads[name], load)[c, i]
-                    row |= {f"{name}_{load}_{axis}_{of}": float(v) for axis, v in zip("xyz", values, strict=True)}
-            for name, places in turn.places.items():
-                row |= {f"{name}_{axis}_m": float(v) for axis, v in zip("xyz", places[c, i], strict=True)}
-            row |= {f"{name}_stress_Pa": float(values[c, i]) for name, values in turn.stress.items()}
-            row |= {
+            columns |= coupling_load_columns(coupling, np.asarray(turn.couplings[coupling.name][c]))
+        columns |= axes_columns(study, loads, axes) if loads else {}
+        for i in range(turn.position.shape[1]):
+            carry = {
                 f"{name}_carrying": "+".join(carrying(one.penetration[i])) or "none" for name, one in states.items()
             }
-            row |= {name: float(values[i]) for name, values in contacts.items()}
-            row |= {name: float(values[i]) for name, values in turned.items()}
-            rows.append(row)
+            more.append(carry | {name: float(values[i]) for name, values in columns.items()})
+    for row in rows:
+        row.pop("number")
+    rows = [row | columns for row, columns in zip(rows, more, strict=True)]
     units = {
         "max_force": "N", "max_moment": "N m", "max_stress": "Pa", "max_force_at": unit, "max_moment_at": unit,
-        "max_stress_at": unit, "holding": "N" if force == "N" else "N m",
+        "max_stress_at": unit, "holding": force,
     }  # fmt: skip
     if turn.contacts:
         units |= {"largest_penetration": "m", "largest_penetration_at": unit, "largest_contact_force": "N",
@@ -234,7 +186,7 @@ def draw_turn(folder: Path, study: Study, model: Model, turn: Turn) -> list[Path
 def turn_figure(study: Study, model: Model, turn: Turn) -> Figure:
     """Resultant force and moment of every joint, holding moment and stresses over the drive's position, a column of
     panels a quantity with the joints as curves, a row a case; forces of contacts where joints have clearance."""
-    scale, unit = (1.0, "m") if _slides(model) else (180.0 / np.pi, "deg")
+    scale, unit = (1.0, "m") if turn.slides else (180.0 / np.pi, "deg")
     count = len(study.cases)
     columns = 4 if turn.contacts else 3
     figure = new_figure(3.2 * columns, 0.9 + 2.5 * count)
@@ -248,9 +200,9 @@ def turn_figure(study: Study, model: Model, turn: Turn) -> Figure:
                 size = np.linalg.norm(getattr(turn.loads[name], load)[c], axis=-1)
                 axes.plot(x, size * good, label=name, **line_style(k, len(x)))
             axes.set_ylabel(label)
-        panels[c, 0].set_title(f"case {in_legend(case.name, statuses(turn)[c])}", loc="left")
+        panels[c, 0].set_title(f"case {in_legend(case.name, labelled(study, turn).statuses()[c])}", loc="left")
         panels[c, 2].plot(x, turn.holding[c] * good, **line_style(0, len(x)))
-        panels[c, 2].set_ylabel("holding force, N" if _slides(model) else "holding moment, N m")
+        panels[c, 2].set_ylabel("holding force, N" if turn.slides else "holding moment, N m")
         curves = [(name, k) for name in turn.contacts for k in range(len(CONTACT_NAMES))]
         for number, (name, k) in enumerate(curves):
             force = turn.contacts[name].normal_force[c, :, k]

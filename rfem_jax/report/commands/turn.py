@@ -55,7 +55,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     with writing_into(folder):
         written = report.write_turn(folder, study, model, turn, arguments.axes)
         written += report.draw_turn(folder, study, model, turn)
-    return finish(folder, written, set(report.statuses(turn)) == {"ok"}, started)
+    return finish(folder, written, set(report.labelled(study, turn).statuses()) == {"ok"}, started)
 
 
 def _position(text: str | None, name: str, model: Model) -> float | None:

@@ -18,11 +18,13 @@ from rfem_jax.description.metrics.subjects import (
     LinkSubject,
     MetricSubjects,
     PointSubject,
+    points_of,
     require_metric,
 )
 from rfem_jax.description.tolerances.error_catalogue import error_unit
 from rfem_jax.mechanics.model.errors import AssemblyErrors
 from rfem_jax.mechanics.model.model import Model
+from rfem_jax.mechanics.model.named_points import following, named_points_of
 from rfem_jax.mechanics.model.planar_loops import opening, require_closable
 from rfem_jax.mechanics.model.status import STATUS
 from rfem_jax.mechanics.statics.designs import Design, NamedValue, parameters
@@ -127,6 +129,11 @@ def records_of(metrics: Iterable[Metric]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for one in metrics for name in one.records))
 
 
+def following_metrics(model: Model, asked: Iterable[str | Metric]) -> Model:
+    """The model, which follows the centres of joints and the ends of links, too, that metrics are of."""
+    return following(model, points_of(one if isinstance(one, str) else one.name for one in asked))
+
+
 def known_metric(model: Model, asked: str | Metric) -> Metric:
     """The metric of a name, or the one given, if the simulator can compute it. Raises InputError."""
     one = metric(asked) if isinstance(asked, str) else asked
@@ -159,4 +166,4 @@ def _subjects_of(model: Model) -> MetricSubjects:
     points = {name: PointSubject(bool(driven)) for name in model.points or {}}
     turns = {name: not topology.slides[one.coordinates[1]] for name, one in (model.couplings or {}).items()}
     couplings = {name: CouplingSubject(turn) for name, turn in turns.items()}
-    return MetricSubjects(joints, links, points, couplings)
+    return MetricSubjects(joints, links, points, couplings, named_points_of(topology))

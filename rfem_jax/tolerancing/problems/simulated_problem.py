@@ -41,6 +41,7 @@ from rfem_jax.tolerancing.problems.mechanism_problem import (
     LINEAR_ERROR,
     Errors,
     MechanismProblem,
+    following_metrics,
     known_metric,
     records_of,
 )
@@ -100,9 +101,9 @@ class Problem(MechanismProblem):
                 "Argument `start` of a problem's simulation must be a word, but is a State, which no errors change; "
                 'leave it out, or give "as_given" or "equilibrium".'
             )
-        model = simulation.model
+        metrics = (metrics,) if isinstance(metrics, (str, Metric)) else tuple(metrics)
+        model = following_metrics(simulation.model, metrics)
         self.model, self.drive, self.design, self.steps = model, simulation.drive, simulation.design, None
-        metrics = (metrics,) if isinstance(metrics, (str, Metric)) else metrics
         self.metrics = tuple(known_metric(model, m) for m in metrics)
         check_distinct((m.name for m in self.metrics), "metrics")
         _check_angle(model, self.metrics)

@@ -27,6 +27,7 @@ from rfem_jax.tolerancing.problems.mechanism_problem import (
     LINEAR_ERROR,
     Errors,
     MechanismProblem,
+    following_metrics,
     known_metric,
     records_of,
 )
@@ -65,8 +66,9 @@ class StaticProblem(MechanismProblem):
         accelerations: Positions | None = None,
     ):
         require_float64()
+        metrics = (metrics,) if isinstance(metrics, (str, Metric)) else tuple(metrics)
+        model = following_metrics(model, metrics)
         self.model, self.design, self.poses = model, design, poses_at(model, positions, rates, accelerations)
-        metrics = (metrics,) if isinstance(metrics, (str, Metric)) else metrics
         self.metrics = tuple(known_metric(model, one) for one in metrics)
         check_distinct((one.name for one in self.metrics), "metrics")
         require_at_rest((one.name for one in self.metrics if kind_and_owner(one.name)[0] is not None), "")

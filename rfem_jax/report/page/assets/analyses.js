@@ -17,9 +17,48 @@ function turnQuantities(cases) {
         if (finiteList(values)) found.set(`${key} ${name}`, { label: `${words} ${name}`, unit: unitName, of: (c) => ((c.curves || {})[key] || {})[name] });
       }
     }
+    for (const [key, words, unitName] of [["shaking_force", "Force on the base", "N"], ["shaking_moment", "Moment on the base", "N m"]]) {
+      for (const axis of ["x", "y", "z"]) {
+        if (curve[key] && finiteList(curve[key][axis])) found.set(`${key} ${axis}`, { label: `${words}, ${axis}`, unit: unitName, of: (c) => ((c.curves || {})[key] || {})[axis] });
+      }
+    }
+    for (const [name, place] of asEntries(curve.place)) {
+      for (const axis of ["x", "y", "z"]) {
+        if (place && finiteList(place[axis])) found.set(`place ${name} ${axis}`, { label: `${axis} of ${name}`, unit: "mm", of: (c) => turnPlace(c, name, axis) });
+      }
+    }
     if (finiteList(curve.holding)) found.set("holding", { label: "What the drive holds with", unit: "", of: (c) => (c.curves || {}).holding });
   }
   return found;
+}
+
+// A coordinate of a point at all positions, in mm.
+function turnPlace(one, name, axis) {
+  const place = ((one.curves || {}).place || {})[name];
+  return place && finiteList(place[axis]) ? place[axis].map((value) => (value === null ? null : value * 1000)) : null;
+}
+
+// Where points go while the drive takes its positions, seen along the axis across which they move least.
+function turnPaths(cases) {
+  const names = [...new Set(cases.flatMap(([, one]) => asEntries((one.curves || {}).place).map(([name]) => name)))];
+  if (!names.length) return null;
+  const holder = make("div", { id: "turn-path" });
+  const show = (name) => {
+    const found = cases.map(([of, one], index) => ({ name: of, index, x: turnPlace(one, name, "x"), y: turnPlace(one, name, "y"), z: turnPlace(one, name, "z") }))
+      .filter((one) => one.x && one.y && one.z);
+    const ranges = ["x", "y", "z"].map((axis) => finiteRange(found.flatMap((one) => one[axis]).filter((value) => value !== null)));
+    const spread = ranges.map(([low, high]) => high - low);
+    const across = spread[1] <= spread[2] ? "z" : "y";
+    const up = ranges[across === "z" ? 2 : 1];
+    const half = 0.54 * Math.max(spread[0], up[1] - up[0], 1e-9);
+    const around = ([low, high]) => [(low + high) / 2 - half, (low + high) / 2 + half];
+    const number = (values) => values.map((value) => (value === null ? NaN : value));
+    const drawn = found.map((one) => ({ name: one.name, index: one.index, x: number(one.x), y: number(one[across]), class: `curve case-${one.index % 7}`, dash: caseDash(one.index) }));
+    clear(holder).append(lineChart(drawn, `x of ${name}, mm`, `${across} of ${name}, mm`, `Path of ${name}, held still`,
+      { width: 460, height: 454, xRange: around(ranges[0]), yRange: around(up) }), lineLegend(found.map((one) => [one.name, one.index])));
+  };
+  show(names[0]);
+  return section("Paths of points", choice("Point", names.map((name) => [name, name]), names[0], show, { id: "turn-point" }), holder);
 }
 
 function turnPage(task) {
@@ -35,7 +74,7 @@ function turnPage(task) {
     { label: "largest moment", unit: "N m", loads: true, value: (row) => row.one.max_moment },
     { label: "at", unit: unitName, value: (row) => row.one.max_moment_at * factor },
   ];
-  const rows = cases.flatMap(([name, one]) => asEntries(one.joints).filter(([, joint]) => joint && typeof joint === "object")
+  const rows = cases.flatMap(([name, one]) => [...asEntries(one.joints), ["on the base", one.shaking]].filter(([, joint]) => joint && typeof joint === "object")
     .map(([joint, entry]) => ({ name, joint, one: entry })));
   const table = sortableTable("Largest loads of the mechanism held still", columns, rows, { id: "turn-loads" });
   if (!quantities.size) return [section("Held still over the range of the drive", table)];
@@ -53,7 +92,7 @@ function turnPage(task) {
   const first = largestTurn(rows, quantities);
   show(first);
   const select = choice("Show", [...quantities].map(([key, one]) => [key, one.label]), first, show, { id: "turn-quantity" });
-  return [section("Held still over the range of the drive", select, holder), section("Largest loads", table)];
+  return [section("Held still over the range of the drive", select, holder), turnPaths(cases), section("Largest loads", table)];
 }
 
 // The moment of the joint that has the largest one, else the first curve.

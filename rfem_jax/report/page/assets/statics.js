@@ -23,6 +23,11 @@ function staticsPage(task) {
   const joints = staticsRows(cases, "joints", (load) => load.force.map((force, i) => ({ force, moment: load.moment[i] })));
   const sections = [section(`Loads of the joints ${how}`, sortableTable("Forces and moments in the frames of the joints",
     [...first, ...parts("force", "N"), ...parts("moment", "N m")], joints, { id: "static-loads" }))];
+  const onBase = cases.flatMap(([name, one]) => (one.shaking ? one.shaking.force.map((force, i) => ({ name, i, one, value: { force, moment: one.shaking.moment[i] } })) : []));
+  if (onBase.length) {
+    sections.push(section("What the mechanism exerts on its base", sortableTable("Force and moment on the base, in global axes",
+      [first[0], ...first.slice(2), ...parts("force", "N"), ...parts("moment", "N m")], onBase, { id: "static-shaking" })));
+  }
   if (held.length) {
     const rows = staticsRows(cases, "holding", (values) => values);
     const columns = [first[0], { label: "held", value: (row) => row.of }, { label: "position", value: place },
