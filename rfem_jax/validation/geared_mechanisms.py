@@ -41,16 +41,16 @@ def five_bar() -> Mechanism:
     """Rigid bars of steel under gravity."""
     steel, section = Material("steel", 2.1e11, poisson_ratio=0.3, density=DENSITY), Rectangle(SIDE, SIDE)
     lengths = {"one": CRANK, "left": ROD, "right": ROD, "two": CRANK}
-    links = [Link(name, length, section, steel, rigid=True) for name, length in lengths.items()]
+    links = tuple(Link(name, length, section, steel, rigid=True) for name, length in lengths.items())
     left, right = rod_angles()
-    joints = [
+    joints = (
         Joint("A", "base", "one", angle=0.0),
         Joint("B", "one", "left", angle=left),
         Joint("E", "base", "two", position=(APART, 0.0, 0.0), angle=TURN),
         Joint("D", "two", "right", angle=right - TURN),
         Joint("C", "left", "right", child_position=(ROD, 0.0, 0.0), cut=True),
-    ]
-    return Mechanism(links, joints, driven_joint="A", forces=[Coupling("mesh", ("A", "E"), ratio=1.0)])
+    )
+    return Mechanism(links, joints, driven_joint="A", forces=(Coupling("mesh", ("A", "E"), ratio=1.0),))
 
 
 def run_five_bar() -> Run:
