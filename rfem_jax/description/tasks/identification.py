@@ -31,6 +31,7 @@ from rfem_jax.labelled_data import column_name
 TIME = "time_s"
 LOSSES = ("gaussian", "huber", "cauchy")
 PRIORS = ("tolerances", "flat")
+SENSOR_TABLES = ("signals", "candidates")  # by the names of columns
 _MEASURED = ("acceleration", "angle", "rate", "speed", "moment", "force", "length")
 _UNITS = {column_name("", DIMENSIONS[name][1]): (name, DIMENSIONS[name][1]) for name in _MEASURED}
 
@@ -148,8 +149,8 @@ class IdentificationTask(Task):
 
     @classmethod
     def tables(cls, header: str) -> list[tuple[str, type, Collection[str], Collection[str]]]:
-        inner = f"{header[:-1]}.signals.COLUMN] and {header[:-1]}.candidates.COLUMN]"
-        return [*super().tables(header), (inner, Sensor, *keys_of(Sensor))]
+        inner = [f"{header[:-1]}.{name}.COLUMN]" for name in SENSOR_TABLES]
+        return [*super().tables(header), *((one, Sensor, *keys_of(Sensor)) for one in inner)]
 
     @classmethod
     def read(cls, table: object, place: str, tolerances: SpecifiedTolerances | None) -> "IdentificationTask":
@@ -157,7 +158,7 @@ class IdentificationTask(Task):
         read, problems = table, Problems()
         if isinstance(table, dict):
             read = dict(table)
-            for name in ("signals", "candidates"):
+            for name in SENSOR_TABLES:
                 if isinstance(table.get(name), dict):
                     with problems.noted():
                         read[name] = {
