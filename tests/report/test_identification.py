@@ -8,10 +8,14 @@ import pytest
 
 from rfem_jax import FunctionProblem, Metric, load_study
 from rfem_jax.report.command_line import main
+from rfem_jax.report.files import history_columns
 from rfem_jax.report.page.folder import folder_content
 from rfem_jax.report.tasks.catalogue import report_on
 from rfem_jax.report.tasks.task_overview import tasks_text
+from rfem_jax.simulation import run_cases
 from rfem_jax.text_layout import WIDTH
+from rfem_jax.tolerancing.identification.signals import run_columns, signal
+from tests.study_texts import STEEL, hinge, link, rectangle
 
 from .conftest import STUDY, rows_of
 
@@ -162,3 +166,41 @@ def test_wrong_tables_are_refused_in_a_sentence(before, after, words, path, refu
     path.write_text(STUDY + tables.replace(before, after), encoding="utf-8")
     with refused(*words):
         load_study(path)
+
+
+MOVES = f"""
+[mechanism]
+{STEEL}{rectangle()}{link("arm", 0.2)}{link("block", 0.1)}{hinge("arm")}
+[[mechanism.joints]]
+name = "G"
+parent = "arm"
+child = "block"
+kind = "prismatic"
+[[mechanism.points]]
+name = "P"
+link = "block"
+position = 0.05
+[simulation]
+duration = 0.02
+method = "generalised_alpha"
+step = "2 ms"
+"""
+TURNS = '[[drives]]\njoint = "A"\nkind = "moment_ramp"\nmoment = 1.0\nrise_time = 0.1\n'
+SLIDES = '[[drives]]\njoint = "G"\nkind = "force_ramp"\nforce = 2.0\nrise_time = 0.1\n'
+OF_CASES_ONLY = ("_J", "_loss_J", "_dissipation_J")  # energies are no signals
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("drives", [TURNS, SLIDES, TURNS + SLIDES])
+def test_signals_are_the_columns_that_a_run_writes(drives, tmp_path):
+    path = tmp_path / "study.toml"
+    path.write_text(MOVES + drives, encoding="utf-8")
+    study = load_study(path)
+    (run,) = run_cases(study)[1].values()
+    written, known = history_columns(study, run), dict(run_columns(run))
+    measurable = [name for name in written if not name.endswith(OF_CASES_ONLY)]
+    assert len(measurable) > 20 and set(measurable) <= set(known)
+    for name in measurable:
+        np.testing.assert_array_equal(np.asarray(known[name]()), written[name], err_msg=name)
+        if name != "time_s":
+            np.testing.assert_array_equal(np.asarray(signal(name)(run)), written[name])

@@ -27,14 +27,17 @@ from rfem_jax import (
     identify,
     simulate,
 )
+from rfem_jax.tolerancing.identification.fit_tests import chance, whiteness
 from rfem_jax.tolerancing.identification.identification_study import _starts
+from rfem_jax.tolerancing.identification.levenberg_marquardt import search
 from rfem_jax.tolerancing.identification.measurements import read_data, read_signals
 from rfem_jax.tolerancing.identification.observability import see, signal_information, without_shift
-from rfem_jax.tolerancing.identification.posterior import invert
+from rfem_jax.tolerancing.identification.posterior import find_modes, invert, without_saddles
 from rfem_jax.tolerancing.identification.predictions import Predictor, interpolation_error, spline
 from rfem_jax.tolerancing.identification.prior import read_prior
 from rfem_jax.tolerancing.identification.residuals import Residuals, efficiency, robust
 from rfem_jax.tolerancing.identification.signals import run_columns
+from rfem_jax.tolerancing.problems.kept_evaluations import kept_in
 from tests.mechanisms import arm
 
 TIMES = np.linspace(0.0, 1.0, 101)
@@ -135,6 +138,7 @@ def test_laplace_covariance_is_that_of_the_information_with_sensor_faults_elimin
     """Two ways: the inverse of all parameters' matrix, and Schur complements signal by signal (17.13)."""
     residuals = residuals_of(FAULTY, shift=0.005)
     theta = np.zeros((1, residuals.size))
+    theta[0, :3] = [1.0, -0.7, 0.5]
     whole = invert(residuals.evaluate(theta).curvature[0])[:3, :3]
     prediction = residuals.predict(theta)[0]
     total = np.zeros((4, 4))
@@ -245,6 +249,53 @@ def test_errors_that_are_known_but_for_their_sign_have_two_modes():
     assert found.visibility.symmetric == ("D.delta_x",)
 
 
+def test_modes_are_as_probable_as_the_integrals_of_the_density():
+    """Two modes of different widths; the integrals by a sum over a fine grid."""
+
+    def bent(errors):
+        a = errors["D.delta_x"] / 3e-3
+        return {"rate_rad_s": (a**2 + 0.15 * a**3) * jnp.asarray(TIMES)}
+
+    problem, sensors = problem_of(bent, ("D.delta_x",), ("rate_rad_s",)), {"rate_rad_s": Sensor(0.3)}
+    data = measure(problem, {"D.delta_x": 3.6e-3}, np.random.default_rng(2), noise={"rate_rad_s": 0.3})
+    found = solve(problem, data=data, tolerances={"D.delta_x": Normal(9e-3)}, sensors=sensors, starts=8)
+    t, y = data["rate_rad_s"]
+    a = np.linspace(-4.0, 4.0, 8001)
+    log = -0.5 * np.sum((((a**2 + 0.15 * a**3)[:, None] * t - y) / 0.3) ** 2, axis=1) - 0.5 * a**2
+    density = np.exp(log - log.max())
+    assert found.status == "ambiguous" and len(found.modes) == 2
+    for one in found.modes:
+        side = np.sign(a) == np.sign(one.errors[0])
+        assert one.probability == pytest.approx(density[side].sum() / density.sum(), abs=0.03)
+    heights = np.exp([-0.5 * (one.cost - found.modes[0].cost) for one in found.modes])
+    assert abs(found.modes[0].probability - heights[0] / heights.sum()) > 0.08  # not by their heights alone
+
+
+def test_white_noise_is_white_and_correlated_noise_is_not():
+    rng = np.random.default_rng(0)
+    white = rng.normal(size=(400, 200))
+    assert stats.kstest([whiteness(one) for one in white], "uniform").pvalue > 1e-3
+    smooth = white[:, 1:] + 0.6 * white[:, :-1]
+    assert np.median([whiteness(one) for one in smooth]) < 1e-8
+    assert chance(200.0, 200.0) > 0.9 and chance(300.0, 200.0) < 1e-4 and chance(120.0, 200.0) < 1e-4
+
+
+def test_a_point_between_two_modes_is_none():
+    """The first search starts at zero errors, where derivatives vanish, and stays: a maximum, not a minimum."""
+    data = measure(EVEN, {"D.delta_x": 3.5e-3, "D.d_y": 0.0}, np.random.default_rng(1), noise={"rate_rad_s": 0.4})
+    prior = read_prior(EVEN, TWO, None, "tolerances", None)
+    sensors = {"rate_rad_s": Sensor(0.4)}
+    predictors = [Predictor(EVEN, list(sensors), prior.names, {}, TIMES)]
+    residuals = Residuals(prior, predictors, [read_data(data, sensors)], read_signals(sensors), 0.0, "gaussian")
+    starts = _starts(residuals, jax.random.key(0), 8)
+    ends = search(residuals.evaluate, starts, residuals.low, residuals.high, 60)
+    modes = find_modes(residuals, ends)
+    assert len(modes) == 3 and sum(abs(one.theta[0]) < 1e-9 for one in modes) == 1
+    kept = without_saddles(modes, lambda theta: residuals.evaluate(theta, derivatives=False).cost, 2)
+    assert len(kept) == 2 and all(abs(one.theta[0]) > 0.5 for one in kept)
+    assert sum(one.probability for one in kept) == pytest.approx(1.0)
+
+
 def test_a_posterior_that_is_not_normal_has_the_intervals_of_its_samples():
     """The sign of an error that is nearly zero: one broad mode with a flat top, whose density is known."""
     rng = np.random.default_rng(3)
@@ -285,7 +336,7 @@ def test_bounds_and_flat_priors():
     assert np.isinf(flat.prior_deviation).all() and (flat.deviation > normal.deviation).all()
     np.testing.assert_allclose(flat.estimate, normal.estimate, atol=2.0 * flat.deviation.max())
     bounded = solve(data=data, bounds={"D.delta_x": (0.0, "0.1 deg")})
-    assert bounded.errors["D.delta_x"] == pytest.approx(np.radians(0.1))
+    assert bounded.errors["D.delta_x"] == pytest.approx(np.radians(0.1)) and bounded.converged == 4
     assert bounded.low[0] >= 0.0 and bounded.high[0] <= np.radians(0.1) + 1e-12
 
 
@@ -374,7 +425,7 @@ def test_a_shift_along_the_only_axis_is_invisible_but_to_places(pendulum):
 
 
 @pytest.mark.slow
-def test_a_simulated_arm_is_identified_from_another_model(pendulum, refused):
+def test_a_simulated_arm_is_identified_from_another_model(pendulum, refused, tmp_path):
     truth = {"A.delta_x": np.radians(1.5), "A.d_z": 3e-4}
     fine = dataclasses.replace(pendulum, method=GeneralisedAlpha(step=5e-4), save_every=1e-3)
     run = simulate(fine, assembly_errors(pendulum.model, truth))
@@ -389,6 +440,15 @@ def test_a_simulated_arm_is_identified_from_another_model(pendulum, refused):
     assert found.status in ("ok", "ambiguous"), str(found)
     away = np.abs(np.abs(found.estimate) - list(truth.values()))
     assert (away < 4.0 * found.deviation).all() and (found.deviation < 0.1 * found.prior_deviation).all()
+    # An interrupted identification goes on from what it has computed, to the same numbers.
+    sensors = {name: Sensor(sigma) for name, sigma in noise.items()}
+    with pytest.raises(KeyboardInterrupt), kept_in(tmp_path / "kept"):
+        identify(pendulum, data, sensors, tolerances)
+        raise KeyboardInterrupt
+    with kept_in(tmp_path / "kept") as kept:
+        again = identify(pendulum, data, sensors, tolerances)
+    assert kept.read > 3 and kept.read == kept.count
+    np.testing.assert_array_equal(again.estimate, found.estimate)
     with refused("no `A_force_q_N`", "`A_force_"):
         identify(pendulum, {"time_s": [0, 0.1, 0.2, 0.3], "A_force_q_N": [0] * 4}, "A_force_q_N", tolerances)
 

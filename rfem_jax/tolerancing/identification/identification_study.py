@@ -248,7 +248,7 @@ def _settle(residuals: Residuals, theta: np.ndarray, iterations: int, advance: A
         first = _rescaled(residuals, first, factors)
         for noise, one in zip(new, residuals.signals, strict=True):
             one.noise = noise
-        found = search(residuals.evaluate, found.theta, residuals.low, residuals.high, iterations, advance)
+        found = search(residuals.evaluate, found.theta, residuals.low, residuals.high, iterations)
     return found._replace(first=first)
 
 

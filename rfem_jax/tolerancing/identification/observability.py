@@ -60,9 +60,10 @@ class Visibility:
 
 
 def signal_information(
-    slopes: Float[np.ndarray, "n k+1"], value: Float[np.ndarray, " n"], noise: float, offset: float, gain: float
-) -> Float[np.ndarray, "k+1 k+1"]:
-    """Information of one signal about the unknowns and a shift, in the presence of its own offset and gain (17.13).
+    slopes: Float[np.ndarray, "n q"], value: Float[np.ndarray, " n"], noise: float, offset: float, gain: float
+) -> Float[np.ndarray, "q q"]:
+    """Information (q, q) of one signal about the unknowns and a shift, q = k + 1, in the presence of its own offset and
+    gain (17.13).
 
     Args: slopes by z and by the shift in its standard deviations; offset [unit of the signal], gain: standard
         deviations of their priors, 0 where they are known.
@@ -81,8 +82,8 @@ def signal_information(
     return found
 
 
-def without_shift(found: Float[np.ndarray, "k+1 k+1"], shifts: bool) -> Float[np.ndarray, "k k"]:
-    """Information about the unknowns alone; `shifts`: whether there is a shift, in standard deviations."""
+def without_shift(found: Float[np.ndarray, "q q"], shifts: bool) -> Float[np.ndarray, "k k"]:
+    """Information (k, k), k = q - 1, about the unknowns alone; `shifts`: whether there is a shift, in deviations."""
     k = len(found) - 1
     if not shifts:
         return found[:k, :k]

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.special import gammaln, logsumexp
 from scipy.stats import chi2, norm
 
@@ -53,7 +53,7 @@ class Sampled(NamedTuple):
     theta: Float[np.ndarray, "N p"]
     weights: Float[np.ndarray, " N"]
     effective: float
-    nearest: Float[np.ndarray, " N"]
+    nearest: Int[np.ndarray, " N"]
 
     def moments(self, mode: int) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
         """Means and standard deviations of the samples next to a mode."""
@@ -91,7 +91,7 @@ def find_modes(residuals: Residuals, searches: Searches) -> list[Mode]:
     """The different ends of the searches that converged, best first; none where the best has no covariance."""
     cost = np.where(searches.converged, searches.misfit.cost, np.inf)
     modes: list[Mode] = []
-    for w in np.argsort(cost, kind="stable"):
+    for w in map(int, np.argsort(cost, kind="stable")):
         if not np.isfinite(cost[w]):
             break
         h = information(residuals, searches.misfit, w)
@@ -100,7 +100,7 @@ def find_modes(residuals: Residuals, searches: Searches) -> list[Mode]:
             return modes
         away = [searches.theta[w] - one.theta for one in modes]
         if all(d @ h @ d > APART**2 for d in away):
-            modes.append(Mode(searches.theta[w], float(cost[w]), covariance, int(w)))
+            modes.append(Mode(searches.theta[w], float(cost[w]), covariance, w))
     return weighed(modes)
 
 
@@ -151,7 +151,7 @@ def draw(modes: list[Mode], costs: Costs, low: np.ndarray, high: np.ndarray, key
     inside = np.all((theta >= low) & (theta <= high), axis=1)
     cost = costs(np.clip(theta, low, high))
     with np.errstate(invalid="ignore"):
-        logs = np.where(inside, -0.5 * cost - logsumexp(log_q, axis=0), -np.inf)
+        logs = np.where(inside, -0.5 * cost - np.logaddexp.reduce(log_q, axis=0), -np.inf)
     if not np.isfinite(logs).any():
         return Sampled(theta, np.zeros(n), 0.0, np.argmin(distance, axis=0))
     weights = np.exp(logs - logsumexp(logs))

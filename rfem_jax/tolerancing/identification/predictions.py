@@ -31,8 +31,8 @@ from rfem_jax.tolerancing.problems.simulated_problem import Problem
 
 
 class Prediction(NamedTuple):
-    """Signals of w runs: values (w, S, T), NaN where a run failed; derivatives (w, S, T, k) by the errors [rad, m], or
-    None; status (w,)."""
+    """Signals of w runs: values (w, S, T), NaN where a run failed or has no derivatives; derivatives (w, S, T, k) by
+    the errors [rad, m], or None; status (w,)."""
 
     values: Float[np.ndarray, "w S T"]
     derivatives: Float[np.ndarray, "w S T k"] | None
@@ -91,6 +91,8 @@ class Predictor:
         if self._times is None and (status == 0).any():
             self._times = values[int(np.argmax(status == 0)), self._clock]
         failed = (status != 0) | ~np.isfinite(values).all(axis=(1, 2))
+        if derivatives:
+            failed |= ~np.isfinite(slopes).all(axis=(1, 2, 3))
         values[failed] = np.nan
         return Prediction(values[:, self.rows], slopes[:, self.rows] if derivatives else None, status)
 

@@ -8,7 +8,7 @@ function identificationPage(task) {
   return [
     section(result.estimate ? "Errors found" : "What measurements would tell of the errors", make("p", { id: "identification-status" }, status), foundTable(errors, result)),
     (result.modes || []).length > 1 ? section("Sets of errors that explain the data", modesTable(result, errors)) : null,
-    curves.length ? section("Measured and simulated signals", make("p", { class: "hint" }, "Circles: measured; dashed: simulated with what was known before; curve: with the errors found."),
+    curves.length ? section("Measured and simulated signals", make("p", { class: "hint" }, "Dots: measured; dashed: simulated with what was known before; curve: with the errors found."),
       make("div", { id: "identification-curves", class: "charts" }, curves.map(signalChart))) : null,
     (result.signals || []).length ? section("How the signals are fitted", fitTable(result.signals)) : null,
     result.visibility ? visibilitySection(result.visibility, errors) : null,
@@ -31,7 +31,7 @@ function foundTable(errors, result) {
 
 function modesTable(result, errors) {
   const columns = [
-    { label: "probability", value: (row) => row.probability },
+    { label: "probability", value: (row) => row.probability, show: (value) => showNumber(value, 3) },
     ...errors.map((one, i) => ({ label: one.error, value: (row) => row.errors[i], show: (value) => showError(value, one.unit) })),
   ];
   return sortableTable("Sets of errors", columns, result.modes, { id: "identified-modes" });
@@ -39,7 +39,7 @@ function modesTable(result, errors) {
 
 function signalChart(curve) {
   const series = [
-    { x: curve.times, y: curve.measured.map((one) => numberOr(one, NaN)), marks: true, name: "measured" },
+    { x: curve.times, y: curve.measured.map((one) => numberOr(one, NaN)), marks: true, class: "faint", name: "measured" },
     { x: curve.times, y: curve.before.map((one) => numberOr(one, NaN)), dash: [6, 4] },
     { x: curve.times, y: curve.after.map((one) => numberOr(one, NaN)) },
   ];
@@ -54,7 +54,7 @@ function fitTable(signals) {
     { label: "samples", value: (row) => row.samples }, { label: "noise", title: "standard deviation of a sample", value: (row) => row.noise, show: (value, row) => `${showNumber(value, 3)}${row.estimated ? " (estimated)" : ""}` },
     { label: "left before", title: "RMS of measured less simulated", value: (row) => row.before, show: (value) => showNumber(value, 3) }, { label: "left after", value: (row) => row.remainder, show: (value) => showNumber(value, 3) },
     { label: "\u03c7\u00b2 per freedom", value: per, show: (value) => showNumber(value, 3) }, { label: "white by chance", title: "probability that independent noise is as correlated along time", value: (row) => row.whiteness_chance, show: (value) => showNumber(value, 2) },
-    { label: "shift", unit: "s", value: (row) => row.shift }, { label: "offset", value: (row) => row.offset }, { label: "gain", value: (row) => row.gain },
+    { label: "shift", unit: "s", value: (row) => row.shift, show: (value) => showNumber(value, 3) }, { label: "offset", value: (row) => row.offset, show: (value) => showNumber(value, 3) }, { label: "gain", value: (row) => row.gain, show: (value) => showNumber(value, 3) },
     { label: "verdict", value: (row) => row.verdict },
   ];
   return sortableTable("Signals", columns, signals, { id: "fitted-signals" });
@@ -63,14 +63,14 @@ function fitTable(signals) {
 function visibilitySection(seen, errors) {
   const combinations = (seen.singular_values || []).map((value, i) => ({ value, parts: seen.directions[i] }));
   const columns = [
-    { label: "singular value", title: "how much more the signals tell of a combination than what was known before", value: (row) => row.value },
-    { label: "deviation left", value: (row) => 1 / Math.sqrt(1 + row.value * row.value) },
+    { label: "singular value", title: "how much more the signals tell of a combination than what was known before", value: (row) => row.value, show: (value) => showNumber(value, 3) },
+    { label: "deviation left", value: (row) => 1 / Math.sqrt(1 + row.value * row.value), show: (value) => showNumber(value, 3) },
     ...errors.map((one, i) => ({ label: one.error, value: (row) => row.parts[i], show: (value) => showNumber(value, 2) })),
   ];
   const worth = [
     { label: "choice", value: (row) => row.place }, { label: "signal", value: (row) => row.column },
-    { label: "information alone", unit: "nat", value: (row) => row.gain }, { label: "variance left", unit: "%", value: (row) => 100 * row.rest },
-    { label: "with those before", unit: "nat", value: (row) => row.gain_together }, { label: "variance left with them", unit: "%", value: (row) => 100 * row.rest_together },
+    { label: "information alone", unit: "nat", value: (row) => row.gain, show: (value) => showNumber(value, 3) }, { label: "variance left", unit: "%", value: (row) => 100 * row.rest, show: (value) => showNumber(value, 3) },
+    { label: "with those before", unit: "nat", value: (row) => row.gain_together, show: (value) => showNumber(value, 3) }, { label: "variance left with them", unit: "%", value: (row) => 100 * row.rest_together, show: (value) => showNumber(value, 3) },
   ];
   return section("What the signals can tell",
     sortableTable("Combinations of errors, in standard deviations of what was known before", columns, combinations, { id: "combinations" }),
