@@ -276,7 +276,7 @@ def test_white_noise_is_white_and_correlated_noise_is_not():
     white = rng.normal(size=(400, 200))
     assert stats.kstest([whiteness(one) for one in white], "uniform").pvalue > 1e-3
     smooth = white[:, 1:] + 0.6 * white[:, :-1]
-    assert np.median([whiteness(one) for one in smooth]) < 1e-8
+    assert np.median([whiteness(one) for one in smooth]) < 1e-4
     assert chance(200.0, 200.0) > 0.9 and chance(300.0, 200.0) < 1e-4 and chance(120.0, 200.0) < 1e-4
 
 
