@@ -38,7 +38,7 @@ from rfem_jax.tolerancing.identification.prior import read_prior
 from rfem_jax.tolerancing.identification.residuals import Residuals, efficiency, robust
 from rfem_jax.tolerancing.identification.signals import run_columns
 from rfem_jax.tolerancing.problems.kept_evaluations import kept_in
-from tests.mechanisms import arm
+from tests.mechanisms import arm, four_bar
 
 TIMES = np.linspace(0.0, 1.0, 101)
 NAMES = ("D.delta_x", "D.delta_z", "D.d_y")
@@ -422,6 +422,24 @@ def test_a_shift_along_the_only_axis_is_invisible_but_to_places(pendulum):
     assert "cannot see" in str(found)
     place = identifiability(pendulum, {"P_y_m": Sensor(1e-5), "P_z_m": Sensor(1e-5)}, tolerances)
     assert (place.visibility.singular > 10.0).all()
+
+
+@pytest.mark.slow
+def test_a_shift_of_the_whole_mechanism_is_invisible():
+    """Theory: loads do not see where the mechanism is along its axes; turns about these are no errors at all."""
+    model = discretise(four_bar(rfes=2))
+    simulation = Simulation(
+        model, drive=MomentRamp("A", 1.0, 0.05), duration=0.05, method=GeneralisedAlpha(step=2.5e-3, tolerance=1e-9),
+        save_every=5e-3,
+    )  # fmt: skip
+    names = ("A.d_y", "D.d_y", "D.delta_x")
+    tolerances = Tolerances({name: Normal("1 mm" if ".d_" in name else "0.5 deg") for name in names})
+    sensors = {"rate_rad_s": Sensor(0.1), "D_moment_x_Nm": Sensor(0.1), "D_moment_z_Nm": Sensor(0.1)}
+    found = identifiability(simulation, sensors, tolerances, points=4).visibility
+    assert (found.singular[:2] > 1.0).all() and found.singular[2] < 1e-5 * found.singular[0]
+    together = np.array([1.0, 1.0, 0.0]) / np.sqrt(2.0)
+    assert abs(found.directions[2] @ together) == pytest.approx(1.0, abs=1e-6)
+    assert found.deviations == pytest.approx([np.sqrt(0.5)] * 2 + [0.0], abs=0.1)
 
 
 @pytest.mark.slow

@@ -15,6 +15,7 @@ from rfem_jax.tolerancing.identification.fit_tests import SignalFit
 from rfem_jax.tolerancing.identification.observability import Visibility, combination
 from rfem_jax.tolerancing.layout import show_error, show_number
 
+PARTS = 4  # of a combination in a table
 # What a status means, the worst first.
 STATUSES = {
     "failed": "no run from which to search succeeded: the mechanism does not work at any start; look at the prior "
@@ -64,7 +65,7 @@ class _OfVisibility(LabelledResult):
         if seen is None:
             return []
         rows = [
-            [show_number(s, 3), show_number(1.0 / np.sqrt(1.0 + s**2), 3), combination(seen.names, row)]
+            [show_number(s, 3), show_number(1.0 / np.sqrt(1.0 + s**2), 3), combination(seen.names, row, PARTS)]
             for s, row in zip(seen.singular, seen.directions, strict=True)
         ]
         worth = [

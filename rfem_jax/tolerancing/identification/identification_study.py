@@ -296,7 +296,7 @@ def _conclude(residuals, searches, further, confidence, samples, key) -> Identif
     found = residuals.predict(searches.theta[best : best + 1])
     signals, seen = _fits(residuals, searches, best, found), _seen(residuals, searches, found, further)
     far = departure(modes, drawn, k) if drawn is not None else np.inf
-    normal = drawn is not None and far < DEPARTURE and drawn.effective >= LEAST_EFFECTIVE * samples
+    normal = drawn is not None and far < DEPARTURE and drawn.effective >= max(LEAST_EFFECTIVE * samples, FEW)
     method = "laplace" if normal or drawn is None or drawn.effective < FEW else "importance"
     found = _interval(residuals, modes, drawn, method, confidence, searches.theta[best])
     status = _status(searches, modes, signals, normal or method == "importance")

@@ -142,8 +142,10 @@ def see(
     return Visibility(tuple(names), singular, directions, left, tuple(symmetric), worth, tuple(sentences))
 
 
-def combination(names: Sequence[str], row: Float[np.ndarray, " k"]) -> str:
-    """A direction in words: its parts above a tenth."""
+def combination(names: Sequence[str], row: Float[np.ndarray, " k"], most: int | None = None) -> str:
+    """A direction in words: its parts above a tenth, of which the `most` largest."""
     row = row * (np.sign(row[np.argmax(np.abs(row))]) or 1.0)
-    parts = [f"{value:+.2g} {name}" for name, value in zip(names, row, strict=True) if abs(value) > 0.1]
-    return " ".join(parts).removeprefix("+")
+    large = [i for i in np.argsort(-np.abs(row), kind="stable") if abs(row[i]) > 0.1]
+    shown = sorted(large[:most])
+    text = " ".join(f"{row[i]:+.2g} {names[i]}" for i in shown).removeprefix("+")
+    return text if len(shown) == len(large) else f"{text} ..."
