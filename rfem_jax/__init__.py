@@ -27,7 +27,7 @@ _names = {
         "MomentRamp MomentTable Point PointForce PointMass PointMoment PointSpring PointSpringFunction "
         "PointSpringTable "
         "PrescribedDisplacements PrescribedFunction PrescribedRate PrescribedRunUp PrescribedSpeed "
-        "PrescribedSpinUp PrescribedTable Rectangle RigidBody RungeKutta4 Study Tube load_study"
+        "PrescribedSpinUp PrescribedTable Rectangle RigidBody RungeKutta4 Sensor Study Tube load_study"
     ),
     "mechanics": (
         "AssemblyErrors Coordinates Design Model State STATUS assemble assembly_errors describe design designed "
@@ -36,7 +36,8 @@ _names = {
     "tolerancing": (
         "CorrelatedNormal Exponential FunctionProblem Metric Normal Problem ProcessNormal Reciprocal "
         "ReciprocalSquared StaticProblem Tolerances Triangular TruncatedNormal Uniform Zone allocate expand "
-        "first_samples fit_response_surface metric monte_carlo optimise pareto_front path_bands process_capability "
+        "first_samples fit_response_surface identifiability identify metric monte_carlo optimise "
+        "pareto_front path_bands process_capability "
         "register_metric reliability sensitivity sweep worst_case"
     ),
     "compilation.keeping": "keep_programs",

@@ -31,6 +31,7 @@ class TaskKind:
         many_processes: True if several processes can share its work (the command then has options for them).
         kept: what an interrupted run leaves for the same command to continue with; "" for nothing.
         tables: names without ending of the CSV files that it writes besides NAME.csv; no case may have them.
+        data: True if it reads a file with measurements, the key `data` of its table, which the command may name.
     """
 
     name: str
@@ -43,6 +44,7 @@ class TaskKind:
     many_processes: bool = False
     kept: str = ""
     tables: tuple[str, ...] = ()
+    data: bool = False
 
     def __post_init__(self):
         if not self.name.isidentifier() or not self.name.isascii():
@@ -140,6 +142,15 @@ _OF_THE_PACKAGE = (
         results="dimensions and tolerances before and after, verified margins, Pareto front",
         kept="evaluations of an optimisation",
         tables=("optimise_limits", "optimise_front"),
+    ),
+    _own(
+        "identification",
+        command="identify",
+        purpose="the errors of a machine from what was measured of it, and what measurements can tell",
+        results="errors with intervals, how well signals are fitted, measured and simulated curves",
+        kept="evaluations of an identification",
+        tables=("identification_curves",),
+        data=True,
     ),
 )  # fmt: skip
 _kinds = {one.name: one for one in _OF_THE_PACKAGE}

@@ -81,6 +81,7 @@ from rfem_jax.description.metrics import design_metrics as design_metrics  # the
 from rfem_jax.description.metrics import path_metrics as path_metrics
 from rfem_jax.description.metrics import shaking_metrics as shaking_metrics
 from rfem_jax.description.study_file.study import Case, Study, load_study
+from rfem_jax.description.tasks.identification import Sensor
 
 __all__ = [
     "Automatic",
@@ -136,6 +137,7 @@ __all__ = [
     "RungeKutta4",
     "Section",
     "SectionProperties",
+    "Sensor",
     "Study",
     "Tube",
     "load_study",

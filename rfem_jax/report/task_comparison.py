@@ -59,6 +59,10 @@ QUANTITIES: dict[str, tuple[tuple[Place, str, str], ...]] = {
         (("verified_yield",), "verified yield", NONE),
     ),
     "reliability": ((("any_limit", "value"), "probability that a limit is broken", NONE), (("yield",), "yield", NONE)),
+    "identification": (
+        (("estimate", "*"), "error", METRIC),
+        (("deviation", "*"), "standard deviation", METRIC),
+    ),
 }
 
 

@@ -9,6 +9,7 @@ Every study takes a `problem(errors) -> (values, status)`: the simulator (`Probl
     optimisation    optimisers under bounds and constraints
     designs         sweeps over ranges of the errors, response surfaces
     rare_failures   probabilities of limits broken, by FORM, importance sampling and subset simulation
+    identification  from measurements to errors, and what measurements can tell
     worst_cases     the largest value within the tolerances
     robust_design   the best dimensions and tolerances that keep limits; the cheapest tolerances alone
 
@@ -20,6 +21,7 @@ from rfem_jax.lazy_names import lazy_names
 _names = {
     "designs.response_surface": "fit_response_surface",
     "designs.sweep_study": "sweep",
+    "identification.identification_study": "identifiability identify",
     "problems.capability": "process_capability",
     "problems.distributions": "Normal ProcessNormal Triangular TruncatedNormal Uniform",
     "problems.joint_distributions": "CorrelatedNormal Zone",

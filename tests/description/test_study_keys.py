@@ -103,6 +103,9 @@ MORE_TASKS = """
 metrics = ["*.rms_moment"]
 [reliability]
 limits = { "D.mean_square_moment" = 20.0 }
+[identification]
+signals = { rate_rad_s = { noise = 0.1 } }
+candidates = { A_force_x_N = { noise = "2 N" } }
 """
 ALL_TASKS = TASKS.replace("[[tolerances.correlated]]", f"{ZONE}[[tolerances.correlated]]") + MORE_TASKS
 
@@ -118,6 +121,7 @@ def header_of(place):
     place = re.sub(r"^(\[drive\]|\[\[drives\]\])", "[drive] or [[drives]]", place)
     place = re.sub(r"^\[tolerances\] `\w+\.position`$", "[tolerances] JOINT.position", place)
     place = re.sub(r"^\[tolerances\] `.*", "[tolerances] ERROR", place)
+    place = re.sub(r"^(\[identification\.\w+)\.\w+\]$", r"\1.COLUMN]", place)
     return re.sub(r"^\[(allocation|optimise)\.cost\] `.*", r"[\1.cost]", place)
 
 

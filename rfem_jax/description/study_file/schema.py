@@ -76,6 +76,9 @@ def study_schema() -> Schema:
         if f"[{name}.cost]" in by_header:
             cost = one(f"[{name}.cost]")
             within["cost"] = _named([cost], **cost["properties"])
+        for key in ("signals", "candidates"):
+            if f"[{name}.{key}.COLUMN]" in by_header:
+                within[key] = _named([one(f"[{name}.{key}.COLUMN]")])
         own[name] = one(f"[{name}]", within)
     schema = one("top level", own)
     schema["required"] = [name for name in schema["required"] if name != "simulation"]

@@ -4,6 +4,7 @@ Place in the pipeline: the tasks, `rfem_jax.task_kinds` -> **catalogue** -> stud
 """
 
 from rfem_jax.description.tasks.allocation import AllocationTask
+from rfem_jax.description.tasks.identification import IdentificationTask
 from rfem_jax.description.tasks.monte_carlo import MonteCarloTask
 from rfem_jax.description.tasks.optimise import OptimiseTask
 from rfem_jax.description.tasks.reliability import ReliabilityTask
@@ -21,6 +22,7 @@ _ASKED: dict[str, type[Task]] = {
     "sweep": SweepTask,
     "reliability": ReliabilityTask,
     "optimise": OptimiseTask,
+    "identification": IdentificationTask,
 }
 
 

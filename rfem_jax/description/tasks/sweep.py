@@ -51,7 +51,7 @@ class SweepTask(Task):
 
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("metrics", metric_names)
-        checks.convert("bounds", _bounds)
+        checks.convert("bounds", bounds_of)
         checks.convert("at", error_quantities, "at")
         checks.convert("design", require_choice, ("grid", "sobol"), "design")
         convert_all(checks, ("levels", "n"), whole_number, 2, MOST_SAMPLES)
@@ -92,7 +92,8 @@ class SweepTask(Task):
         return replace(task, bounds={name: pair for name, pair in ends.items() if name not in task.at})
 
 
-def _bounds(bounds: Any) -> dict[str, tuple[float, float]]:
+def bounds_of(bounds: Any) -> dict[str, tuple[float, float]]:
+    """{error: (low, high)} in rad and m, of pairs of numbers or strings with a unit. Raises InputError."""
     if not isinstance(bounds, dict):
         raise InputError(
             f"Argument `bounds` must be a table of errors and their ranges, but was {bounds!r}; "

@@ -5,7 +5,10 @@ Place in the pipeline: `rfem_jax.task_kinds` -> **tasks** -> the reports on task
 
 import argparse
 import time
+from dataclasses import replace
+from pathlib import Path
 
+from rfem_jax.report.annotations import Study
 from rfem_jax.report.commands.command import (
     CASE_FAILED,
     DONE,
@@ -37,6 +40,8 @@ def _command_of(kind: TaskKind) -> Command:
         add_study_and_folder(parser)
         if kind.many_processes:
             add_processes(parser)
+        if kind.data:
+            parser.add_argument("--data", metavar="FILE.csv", help="the measurements, in the place of the table's")
 
     return Command(
         name=kind.command or kind.name,
@@ -57,6 +62,8 @@ def _do(task: str, arguments: argparse.Namespace) -> Answer:
     from rfem_jax.report.tasks.catalogue import require_task
 
     require_task(study, task)
+    if getattr(arguments, "data", None) is not None:
+        study = _with_data(study, task, arguments.data)
     require_folder(arguments.out)
     require_task_folders(study, (task,), arguments.out)
     prepare_pictures()
@@ -66,3 +73,12 @@ def _do(task: str, arguments: argparse.Namespace) -> Answer:
     if written:  # not by the helpers of process 0
         return finish(folder, written, good, started)
     return Answer(DONE if good else CASE_FAILED, files_document(folder, written))
+
+
+def _with_data(study: Study, task: str, path: str) -> Study:
+    """The study with another file of measurements."""
+    from rfem_jax.description.tasks import Tasks
+
+    asked = dict(study.tasks.asked)
+    asked[task] = replace(asked[task], data=str(Path(path).absolute()))
+    return replace(study, tasks=Tasks(study.tasks.tolerances, **asked))

@@ -25,7 +25,16 @@ SCRIPTS = (
     *("data.js", "numbers.js", "elements.js", "theme.js", "geometry.js", "tables.js", "charts.js"),
     *("camera.js", "motion.js", "symbols.js", "acting.js", "mechanism.js", "player.js", "histories.js"),
     *("overview.js", "sensitivity.js", "bands.js", "samples.js", "corners.js", "allocation.js"),
-    *("sweep.js", "reliability.js", "design.js", "analyses.js", "statics.js", "checks.js", "main.js"),
+    *(
+        "sweep.js",
+        "reliability.js",
+        "design.js",
+        "identification.js",
+        "analyses.js",
+        "statics.js",
+        "checks.js",
+        "main.js",
+    ),
 )
 STYLES = ("vendor/uPlot.min.css", "page.css")
 FILE = "report.html"

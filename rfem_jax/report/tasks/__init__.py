@@ -6,7 +6,7 @@
     study_problem   the study's mechanism as a problem of the tolerance studies
     task_files      what their JSON files have in common
     solution_report what allocation and optimise have in common
-    sensitivity, monte_carlo, worst_case, allocation, optimise, sweep, reliability
+    sensitivity, monte_carlo, worst_case, allocation, optimise, sweep, reliability, identification
 
 Place in the pipeline: `report.commands` does the tasks that a study declares; `rfem_jax.task_kinds` lists the kinds.
 """

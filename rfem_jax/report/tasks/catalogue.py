@@ -31,6 +31,8 @@ def report_class(name: str) -> Any:
             from rfem_jax.report.tasks.reliability import ReliabilityReport as Report
         case "optimise":
             from rfem_jax.report.tasks.optimise import OptimiseReport as Report
+        case "identification":
+            from rfem_jax.report.tasks.identification import IdentificationReport as Report
         case _:
             return task_kinds()[name].report_class()
     return Report

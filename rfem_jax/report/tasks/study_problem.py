@@ -11,13 +11,14 @@ from rfem_jax.description.study_file.study import Study
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.statics.designs import model_of_study
 from rfem_jax.simulation import Simulation
+from rfem_jax.tolerancing.problems.problem import Metric
 from rfem_jax.tolerancing.problems.simulated_problem import Problem
 from rfem_jax.tolerancing.problems.static_problem import StaticProblem
 
 
 def build_problem(
     study: Study,
-    metrics: Sequence[str],
+    metrics: Sequence[str | Metric],
     model: Model | None = None,
     trials: Mapping[str, ArrayLike] | None = None,
 ) -> Problem | StaticProblem:

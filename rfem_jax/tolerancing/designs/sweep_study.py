@@ -179,8 +179,8 @@ def sweep(
     Raises: InputError for unknown names and bad numbers, and a folder of another study; ChunkWriteError.
     """
     require_float64()
-    names, ends = _read_bounds(problem, bounds)
-    fixed = _read_fixed(problem, at, names)
+    names, ends = read_bounds(problem, bounds)
+    fixed = read_fixed(problem, at, names)
     for what, number, least in (("levels", levels, 2), ("n", n, 2)):
         whole_number(number, what, least)
     key = jax.random.key(0) if key is None else key
@@ -252,7 +252,8 @@ def sweep_samples(
     return sample_study("sweep", tolerances, key, batch=batch, lanes=lanes, design=design, **grid)
 
 
-def _read_fixed(problem: ToleranceProblem, at: ErrorValues | None, names: tuple[str, ...]) -> dict[str, float]:
+def read_fixed(problem: ToleranceProblem, at: ErrorValues | None, names: tuple[str, ...]) -> dict[str, float]:
+    """Errors held fixed [rad, m], none of those that vary. Raises InputError."""
     fixed = read_point(problem, at)
     for name in names:
         if name in fixed:
@@ -262,7 +263,8 @@ def _read_fixed(problem: ToleranceProblem, at: ErrorValues | None, names: tuple[
     return fixed
 
 
-def _read_bounds(problem: ToleranceProblem, bounds: Bounds) -> tuple[tuple[str, ...], list[tuple[float, float]]]:
+def read_bounds(problem: ToleranceProblem, bounds: Bounds) -> tuple[tuple[str, ...], list[tuple[float, float]]]:
+    """Names and (low, high) [rad, m] of ranges. Raises InputError."""
     if not isinstance(bounds, Mapping) or not bounds:
         raise InputError(
             f"Argument `bounds` must map errors to (low, high), but it is {bounds!r}; "

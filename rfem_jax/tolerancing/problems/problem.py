@@ -29,7 +29,7 @@ from rfem_jax.compilation.naming import Names, NotRenamable
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.tolerancing.checks import DIMENSIONS, check_distinct, check_known
 
-Values = dict[str, Float[Array, ""]]
+Values = dict[str, Float[Array, "..."]]  # scalars; signals of an identification have an axis of times
 Status = Int[Array, ""]
 
 

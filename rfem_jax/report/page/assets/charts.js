@@ -154,7 +154,7 @@ function lineChart(series, xTitle, yTitle, title, options = {}) {
       path(one.x, one.y).forEach((place, i) => {
         if (!Number.isFinite(one.y[i])) return;
         const [cx, cy] = place.split(",").map(Number);
-        const mark = one.marks ? draw("circle", { cx, cy, r: 3, class: "dot" }) : caseMark(one.mark || 0, cx, cy);
+        const mark = one.marks ? draw("circle", { cx, cy, r: one.class ? 2 : 3, class: one.class || "dot" }) : caseMark(one.mark || 0, cx, cy);
         mark.append(draw("title", {}, `${one.name || yTitle}: ${showNumber(one.y[i])} at ${showNumber(one.x[i])}`));
         svg.append(mark);
       });

@@ -2,7 +2,7 @@
 const page = { rebuildCurves() {} };
 const TASK_PAGES = new Map([
   ["sensitivity", sensitivityPage], ["monte_carlo", samplesPage], ["worst_case", cornersPage], ["allocation", allocationPage],
-  ["sweep", sweepPage], ["reliability", reliabilityPage], ["optimise", optimisePage], ["statics", staticsPage], ["turn", turnPage], ["modes", modesPage], ["cycle", cyclePage],
+  ["sweep", sweepPage], ["reliability", reliabilityPage], ["optimise", optimisePage], ["identification", identificationPage], ["statics", staticsPage], ["turn", turnPage], ["modes", modesPage], ["cycle", cyclePage],
 ]);
 
 function taskPage(task) {

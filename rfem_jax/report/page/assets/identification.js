@@ -1,0 +1,79 @@
+// Identification: errors with intervals beside tolerances, how signals are fitted, curves before and after, what signals can tell.
+function identificationPage(task) {
+  const { result } = task;
+  const errors = (Array.isArray(result.errors) ? result.errors : []).filter((one) => one && typeof one === "object");
+  if (!errors.length) return null;
+  const curves = (Array.isArray(result.curves) ? result.curves : []).filter((one) => one && Array.isArray(one.times));
+  const status = `Status ${String(result.status).replace(/_/g, " ")}${result.message ? `: ${result.message.replaceAll("`", "")}` : ""}.`;
+  return [
+    section(result.estimate ? "Errors found" : "What measurements would tell of the errors", make("p", { id: "identification-status" }, status), foundTable(errors, result)),
+    (result.modes || []).length > 1 ? section("Sets of errors that explain the data", modesTable(result, errors)) : null,
+    curves.length ? section("Measured and simulated signals", make("p", { class: "hint" }, "Dots: measured; dashed: simulated with what was known before; curve: with the errors found."),
+      make("div", { id: "identification-curves", class: "charts" }, curves.map(signalChart))) : null,
+    (result.signals || []).length ? section("How the signals are fitted", fitTable(result.signals)) : null,
+    result.visibility ? visibilitySection(result.visibility, errors) : null,
+  ];
+}
+
+function foundTable(errors, result) {
+  const inUnit = (key) => ({ value: (row) => row[key], show: (value, row) => (typeof value === "number" ? showError(value, row.unit) : "\u2013") });
+  const width = (row) => (typeof row.tolerance_high === "number" ? 0.5 * (row.tolerance_high - row.tolerance_low) : null);
+  const found = [
+    { label: "estimate", ...inUnit("estimate") }, { label: "deviation", title: "standard deviation after the measurement", ...inUnit("deviation") },
+    { label: `${showNumber(100 * result.confidence, 3)} % interval from`, ...inUnit("low") }, { label: "to", ...inUnit("high") },
+    { label: "known before to", title: "standard deviation before the measurement", ...inUnit("prior_deviation") },
+    { label: "tolerance \u00b1", value: width, show: (value, row) => (value === null ? "\u2013" : showError(value, row.unit)) },
+    { label: "beyond it", unit: "%", value: (row) => (typeof row.beyond_tolerance === "number" ? 100 * row.beyond_tolerance : null), show: (value) => (value === null ? "\u2013" : showNumber(value < 1e-4 ? 0 : value, 3)) },
+  ];
+  const expected = [{ label: "deviation before", ...inUnit("prior_deviation") }, { label: "deviation after", ...inUnit("expected_deviation") }];
+  return sortableTable("Errors", [{ label: "error", value: (row) => row.error }, ...(result.estimate ? found : expected)], errors, { id: "identified-errors" });
+}
+
+function modesTable(result, errors) {
+  const columns = [
+    { label: "probability", value: (row) => row.probability, show: (value) => showNumber(value, 3) },
+    ...errors.map((one, i) => ({ label: one.error, value: (row) => row.errors[i], show: (value) => showError(value, one.unit) })),
+  ];
+  return sortableTable("Sets of errors", columns, result.modes, { id: "identified-modes" });
+}
+
+function signalChart(curve) {
+  const series = [
+    { x: curve.times, y: curve.measured.map((one) => numberOr(one, NaN)), marks: true, class: "faint", name: "measured" },
+    { x: curve.times, y: curve.before.map((one) => numberOr(one, NaN)), dash: [6, 4] },
+    { x: curve.times, y: curve.after.map((one) => numberOr(one, NaN)) },
+  ];
+  const words = `${curve.column} of experiment ${curve.experiment}`;
+  return make("figure", {}, lineChart(series, "time, s", `${curve.column}, ${curve.unit}`, words, { width: 560, height: 300 }));
+}
+
+function fitTable(signals) {
+  const per = (row) => (row.freedom > 0 ? row.chi_square / row.freedom : null);
+  const columns = [
+    { label: "signal", value: (row) => row.column }, { label: "unit", value: (row) => row.unit }, { label: "experiment", value: (row) => row.experiment },
+    { label: "samples", value: (row) => row.samples }, { label: "noise", title: "standard deviation of a sample", value: (row) => row.noise, show: (value, row) => `${showNumber(value, 3)}${row.estimated ? " (estimated)" : ""}` },
+    { label: "left before", title: "RMS of measured less simulated", value: (row) => row.before, show: (value) => showNumber(value, 3) }, { label: "left after", value: (row) => row.remainder, show: (value) => showNumber(value, 3) },
+    { label: "\u03c7\u00b2 per freedom", value: per, show: (value) => showNumber(value, 3) }, { label: "white by chance", title: "probability that independent noise is as correlated along time", value: (row) => row.whiteness_chance, show: (value) => showNumber(value, 2) },
+    { label: "shift", unit: "s", value: (row) => row.shift, show: (value) => showNumber(value, 3) }, { label: "offset", value: (row) => row.offset, show: (value) => showNumber(value, 3) }, { label: "gain", value: (row) => row.gain, show: (value) => showNumber(value, 3) },
+    { label: "verdict", value: (row) => row.verdict },
+  ];
+  return sortableTable("Signals", columns, signals, { id: "fitted-signals" });
+}
+
+function visibilitySection(seen, errors) {
+  const combinations = (seen.singular_values || []).map((value, i) => ({ value, parts: seen.directions[i] }));
+  const columns = [
+    { label: "singular value", title: "how much more the signals tell of a combination than what was known before", value: (row) => row.value, show: (value) => showNumber(value, 3) },
+    { label: "deviation left", value: (row) => 1 / Math.sqrt(1 + row.value * row.value), show: (value) => showNumber(value, 3) },
+    ...errors.map((one, i) => ({ label: one.error, value: (row) => row.parts[i], show: (value) => showNumber(value, 2) })),
+  ];
+  const worth = [
+    { label: "choice", value: (row) => row.place }, { label: "signal", value: (row) => row.column },
+    { label: "information alone", unit: "nat", value: (row) => row.gain, show: (value) => showNumber(value, 3) }, { label: "variance left", unit: "%", value: (row) => 100 * row.rest, show: (value) => showNumber(value, 3) },
+    { label: "with those before", unit: "nat", value: (row) => row.gain_together, show: (value) => showNumber(value, 3) }, { label: "variance left with them", unit: "%", value: (row) => 100 * row.rest_together, show: (value) => showNumber(value, 3) },
+  ];
+  return section("What the signals can tell",
+    sortableTable("Combinations of errors, in standard deviations of what was known before", columns, combinations, { id: "combinations" }),
+    (seen.sentences || []).map((words) => make("p", {}, words)),
+    sortableTable("Signals in the order of choice", worth, seen.signals || [], { id: "signal-worth" }));
+}

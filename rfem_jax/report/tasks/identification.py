@@ -1,0 +1,208 @@
+"""Identifications: the errors of a machine that was measured, what signals tell, measured and simulated curves.
+
+Place in the pipeline: `rfem_jax.description.tasks.identification` -> **identification** -> terminal, files and
+pictures.
+"""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from rfem_jax.compilation.stages import on_stage
+from rfem_jax.description.basics.errors import InputError, located
+from rfem_jax.description.study_file.study import Study
+from rfem_jax.description.tasks.identification import IdentificationTask, Sensor, unit_of_column
+from rfem_jax.description.tolerances.error_catalogue import as_specified
+from rfem_jax.report.annotations import Figure
+from rfem_jax.report.output import write_csv
+from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles, new_figure, panel_grid
+from rfem_jax.report.tasks import study_problem
+from rfem_jax.report.tasks.task_report import GRADIENT, TaskReport, as_stage
+from rfem_jax.tolerancing.identification.identification_result import (
+    Curve,
+    Identifiability,
+    Identification,
+    curve_rows,
+    visibility_content,
+)
+from rfem_jax.tolerancing.identification.identification_study import identifiability, identify
+from rfem_jax.tolerancing.identification.signals import signal
+from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
+
+SHOWN = 400  # samples of a curve on the page
+MOST_PANELS = 8
+USUAL_STEPS = 12  # of searches
+Result = Identification | Identifiability
+
+
+class IdentificationReport(TaskReport[IdentificationTask, Result]):
+    """Errors from measurements; without measurements what they could tell."""
+
+    def run(self, folder: Path) -> Result:
+        """The errors, or without data what the signals can tell of them.
+
+        Raises: InputError for data that cannot be used, and for a mechanism at rest.
+        """
+        task, study = self.task.with_unknowns(self.study.tasks.tolerances), self.study
+        if study.statics is not None:
+            raise InputError(
+                "Task `identification` must be of a motion, but the study has a table [statics]; leave that out."
+            )
+        columns = list(dict.fromkeys((*task.signals, *task.candidates)))
+        problem = study_problem.build_problem(study, [signal(one) for one in columns])
+        specified = study.tasks.tolerances
+        common: dict[str, Any] = {
+            "tolerances": None if specified is None else Tolerances.of(specified), "unknowns": task.unknowns,
+            "prior": task.prior, "bounds": task.bounds or None, "at": task.at, "time_shift": task.time_shift,
+            "key": jax.random.key(task.seed),
+        }  # fmt: skip
+        if not task.data:
+            on_stage("Finding what signals can tell")
+            return identifiability(problem, {**task.signals, **task.candidates}, points=2 * task.starts, **common)
+        with located("[identification]"):
+            return identify(
+                problem, self.data_path, task.signals, candidates=task.candidates, loss=task.loss,
+                confidence=task.confidence, starts=task.starts, iterations=task.iterations, samples=task.samples,
+                progress=as_stage(f"Searching {len(task.unknowns)} unknowns"), **common,
+            )  # fmt: skip
+
+    @property
+    def data_path(self) -> Path:
+        """The file with the measurements."""
+        beside = Path() if self.study.path is None else self.study.path.parent
+        return beside / self.task.data
+
+    def write(self, folder: Path, result: Result) -> list[Path]:
+        """Write identification.json, identification.csv (one row per unknown; `unit` is that of all its numbers but
+        probabilities) and identification_curves.csv (every sample: measured, simulated before and after)."""
+        units = dict(zip(result.names, result.error_units, strict=True))
+        visibility = visibility_content(result.visibility)
+        if isinstance(result, Identifiability):
+            content = {"status": result.status, "errors": result.rows(), "visibility": visibility, "units": units}
+            return self.write_both(folder, content, result.rows())
+        content = {
+            "status": result.status,
+            "message": result.message,
+            "errors": result.rows(),
+            "estimate": result.errors,
+            "deviation": dict(zip(result.names, map(float, result.deviation), strict=True)),
+            "covariance": result.covariance,
+            "confidence": result.confidence,
+            "intervals_by": result.method,
+            "modes": [asdict(one) for one in result.modes],
+            "effective_samples": result.effective,
+            "departure": result.departure,
+            "signals": [asdict(one) for one in result.signals],
+            "curves": [_thinned(one) for one in result.curves],
+            "visibility": visibility,
+            "remarks": list(result.remarks),
+            "steps": result.steps,
+            "converged": result.converged,
+            "units": units,
+        }
+        columns = {one.column: unit_of_column(one.column) for one in result.curves}
+        written = self.write_both(folder, content, result.rows())
+        rows = curve_rows(result.curves, columns)
+        return [*written, write_csv(folder / f"{self.name}_curves.csv", rows)] if rows else written
+
+    def succeeded(self, result: Result) -> bool:
+        """Also where several sets of errors explain the data: all of them are told."""
+        return result.status in ("ok", "ambiguous")
+
+    def simulations(self) -> list[str]:
+        task = self.task
+        if not task.data:
+            return [f"{2 * task.starts} with derivatives, at points of the prior"]
+        return [
+            f"{task.starts} with derivatives in every step of the searches, of which there are usually about "
+            f"{USUAL_STEPS}",
+            f"{task.samples} that check the intervals",
+        ]
+
+    def work(self) -> float:
+        task = self.task
+        steps = USUAL_STEPS if task.data else 2
+        return GRADIENT * task.starts * steps + (task.samples if task.data else 0)
+
+    def setting_text(self, name: str, value: Any) -> str:
+        """Sensors in words."""
+        if name in ("signals", "candidates"):
+            return ", ".join(f"{column} {_sensor(one, unit_of_column(column))}" for column, one in value.items())
+        if name == "bounds":
+            return ", ".join(f"{error} {low:g} to {high:g} (SI)" for error, (low, high) in value.items())
+        return value if name == "data" else super().setting_text(name, value)
+
+    def draw(self, result: Result) -> dict[str, Figure]:
+        if isinstance(result, Identifiability) or not result.curves:
+            return {}
+        return {"curves": curves_figure(self.study, result), "errors": errors_figure(self.study, result)}
+
+
+def _sensor(one: Sensor, unit: str) -> str:
+    said = "noise to be estimated" if one.noise is None else f"noise {one.noise:g} {unit}"
+    said += f", offset {one.offset:g} {unit}" if one.offset else ""
+    return f"({said}{f', gain {one.gain:g}' if one.gain else ''})"
+
+
+def _thinned(curve: Curve) -> dict[str, Any]:
+    """A curve as the page shows it: at most `SHOWN` samples, evenly chosen."""
+    rows = np.unique(np.linspace(0, len(curve.times) - 1, SHOWN).round().astype(int))
+    arrays = {name: getattr(curve, name)[rows] for name in ("times", "measured", "before", "after")}
+    return {"column": curve.column, "unit": unit_of_column(curve.column), "experiment": curve.experiment, **arrays}
+
+
+def curves_figure(study: Study, result: Identification) -> Figure:
+    """Every signal over time: measured, simulated with the prior's mean, and with the errors found."""
+    shown = result.curves[:MOST_PANELS]
+    figure = new_figure(8.4, 2.6 * len(shown) + 1.4)
+    panels, add_shared_legend = panel_grid(figure, len(shown), columns=1)
+    for curve, axes in zip(shown, panels, strict=True):
+        axes.plot(
+            curve.times, curve.measured, MARKERS[0], ms=2.2, color="#8A8A8A", markeredgewidth=0.0, label="measured"
+        )
+        axes.plot(curve.times, curve.before, "--", color=CASE_COLOURS[2], linewidth=1.2, label="simulated before")
+        axes.plot(curve.times, curve.after, "-", color=CASE_COLOURS[1], linewidth=1.2, label="with the errors found")
+        axes.set_xlabel("time, s")
+        number = f", experiment {curve.experiment}" if result.curves[-1].experiment > 1 else ""
+        axes.set_title(f"{curve.column}{number}", loc="left")
+        axes.set_ylabel(unit_of_column(curve.column))
+    add_shared_legend(*panels[0].get_legend_handles_labels())
+    add_titles(figure, f"Measured and simulated signals ({result.status.replace('_', ' ')})", study)
+    return figure
+
+
+def errors_figure(study: Study, result: Identification) -> Figure:
+    """Every error with its interval, in standard deviations of the prior, beside its tolerance."""
+    k = len(result.names)
+    scale = np.where(np.isfinite(result.prior_deviation), result.prior_deviation, 1.0)
+    known = np.isfinite(result.tolerances[:, 0])
+    scale = np.where(np.isfinite(result.prior_deviation) | ~known, scale, 0.5 * np.ptp(result.tolerances, axis=1))
+    figure = new_figure(7.6, 0.55 * k + 2.0)
+    axes = figure.subplots()
+    places = np.arange(k)
+    for i in np.flatnonzero(known):
+        low, high = (result.tolerances[i] - result.prior_mean[i]) / scale[i]
+        axes.barh(places[i], high - low, 0.62, left=low, color="#E4E4E4", label="tolerance" if i == 0 else None)
+    middle = (result.estimate - result.prior_mean) / scale
+    ends = np.abs(np.stack([result.low - result.estimate, result.high - result.estimate]) / scale)
+    axes.errorbar(
+        middle, places, xerr=np.where(np.isfinite(ends), ends, 0.0), fmt=MARKERS[0], color=CASE_COLOURS[1], capsize=4,
+        label=f"estimate, {100 * result.confidence:g} % interval",
+    )  # fmt: skip
+    for one in result.modes[1:]:
+        axes.plot((one.errors - result.prior_mean) / scale, places, MARKERS[2], color=CASE_COLOURS[2], ms=5.0)
+    labels = []
+    for name, value, unit in zip(result.names, result.estimate, result.error_units, strict=True):
+        specified, factor = as_specified(unit)
+        labels.append(f"{name}\n{factor * value:.4g} {specified}")
+    axes.set_yticks(places, labels)
+    axes.invert_yaxis()
+    axes.grid(visible=False, axis="y")
+    axes.set_xlabel("error, in standard deviations of what was known before")
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False)
+    heading = "Errors found" + ("; triangles: other sets that explain the data" if len(result.modes) > 1 else "")
+    add_titles(figure, heading, study)
+    return figure

@@ -1,0 +1,64 @@
+"""The page of an identification: errors with intervals, curves, fits, what signals can tell; and that without data."""
+
+import json
+
+import numpy as np
+import pytest
+
+from rfem_jax import load_study
+from rfem_jax.report.page.document import write_folder
+from rfem_jax.report.tasks import study_problem
+from rfem_jax.report.tasks.catalogue import report_on
+from tests.report.conftest import STUDY
+from tests.report.test_identification import TABLES, build, measure
+
+from .test_results import table, task_tab
+
+
+@pytest.fixture
+def identified(tmp_path, monkeypatch):
+    """A function that writes the results of these tables, and returns the folder."""
+    monkeypatch.setattr(study_problem, "build_problem", build)
+    measure(tmp_path / "measured.csv")
+
+    def write(tables):
+        path = tmp_path / "study.toml"
+        path.write_text(STUDY + tables, encoding="utf-8")
+        report = report_on(load_study(path), "identification")
+        out = tmp_path / "out"
+        out.mkdir()
+        report.write(out, report.run(out))
+        write_folder(out)
+        return out
+
+    return write
+
+
+def test_errors_intervals_curves_and_fits_are_shown(identified, open_page):
+    out = identified(TABLES)
+    found, page = json.loads((out / "identification.json").read_text(encoding="utf-8")), open_page(out / "report.html")
+    task_tab(page, "Identification")
+    assert page.text("#identification-status") == f"Status ok: {found['message']}."
+    head, rows = table(page, "#identified-errors")
+    assert [row[0] for row in rows] == ["D.delta_x", "D.d_y"]
+    tilt, one = rows[0], found["errors"][0]
+    for label, key in (("estimate", "estimate"), ("95 % interval from", "low"), ("to", "high")):
+        shown, unit = tilt[head.index(label)].split()
+        assert unit == "deg" and float(shown) == pytest.approx(np.degrees(one[key]), rel=1e-3)
+    assert tilt[head.index("tolerance \u00b1")] == "0.25 deg"
+    assert len(page.all("#identification-curves figure")) == 2
+    dots = page.all("#identification-curves figure:nth-child(1) circle.faint")
+    assert len(dots) == found["signals"][0]["samples"] == 99
+    assert len(page.all("#identification-curves figure:nth-child(1) polyline.curve")) == 2
+    assert [row[-1] for row in table(page, "#fitted-signals")[1]] == ["fits", "fits"]
+    assert len(table(page, "#combinations")[1]) == 2 and len(table(page, "#signal-worth")[1]) == 3
+    assert page.complaints() == []
+
+
+def test_what_signals_can_tell_is_shown_without_data(identified, open_page):
+    out = identified(TABLES.replace('data = "measured.csv"\n', ""))
+    page = open_page(out / "report.html")
+    task_tab(page, "Identification")
+    head, rows = table(page, "#identified-errors")
+    assert head == ["error", "deviation before", "deviation after"] and rows[1][1].endswith(" mm")
+    assert not page.all("#identification-curves") and page.complaints() == []

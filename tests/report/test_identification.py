@@ -1,0 +1,206 @@
+"""Identification on a closed form: from the study file and its measurements to table, files, pictures and page."""
+
+import json
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rfem_jax import FunctionProblem, Metric, load_study
+from rfem_jax.report.command_line import main
+from rfem_jax.report.files import history_columns
+from rfem_jax.report.page.folder import folder_content
+from rfem_jax.report.tasks.catalogue import report_on
+from rfem_jax.report.tasks.task_overview import tasks_text
+from rfem_jax.simulation import run_cases
+from rfem_jax.text_layout import WIDTH
+from rfem_jax.tolerancing.identification.signals import run_columns, signal
+from tests.study_texts import STEEL, hinge, link, rectangle
+
+from .conftest import STUDY, rows_of
+
+TIMES = np.linspace(0.0, 0.5, 101)
+TRUTH = {"D.delta_x": np.radians(0.1), "D.d_y": -5e-5}
+TABLES = """
+[tolerances]
+"D.delta_x" = { half_width = "0.25 deg", distribution = "normal" }
+"D.d_y" = { half_width = "0.25 mm", distribution = "normal" }
+[identification]
+data = "measured.csv"
+starts = 4
+samples = 64
+[identification.signals]
+rate_rad_s = { noise = "0.02 rad/s" }
+A_force_x_N = { noise = 0.3, offset = "1 N" }
+[identification.candidates]
+D_force_y_N = { noise = 0.1 }
+"""
+
+
+def signals(errors):
+    t = jnp.asarray(TIMES)
+    tilt, shift = (errors[name] / size for name, size in (("D.delta_x", 2e-3), ("D.d_y", 1e-4)))
+    return {
+        "time_s": t,
+        "rate_rad_s": 10.0 * t + 0.3 * tilt * jnp.sin(9.0 * t),
+        "A_force_x_N": 5.0 + shift * jnp.cos(20.0 * t) + tilt * t,
+        "D_force_y_N": 4.0 * shift * t,
+    }
+
+
+def build(study, metrics, model=None, trials=None):
+    names = ["time_s", *(one.name for one in metrics)]
+    return FunctionProblem(
+        lambda errors: {name: signals(errors)[name] for name in names}, tuple(TRUTH),
+        [Metric(name) for name in names], error_units={"D.d_y": "m"},
+    )  # fmt: skip
+
+
+def measure(path, noise=1.0):
+    """A table in which the force is sampled at every second time only."""
+    rng, values = np.random.default_rng(0), signals(TRUTH)
+    lines = ["time_s, rate_rad_s, A_force_x_N"]
+    for k in range(1, 100):
+        rate = float(values["rate_rad_s"][k]) + 0.02 * noise * rng.normal()
+        force = float(values["A_force_x_N"][k]) + 0.3 * noise * rng.normal()
+        lines.append(f"{TIMES[k]:.3f}, {rate:.5f}, {f'{force:.5f}' if k % 2 else ''}")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+@pytest.fixture
+def path(answered_by, tmp_path):
+    measure(tmp_path / "measured.csv")
+    return answered_by(build, TABLES)
+
+
+def test_errors_are_identified_written_and_drawn(path, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main(["identify", str(path), "--out", str(out)]) == 0
+    assert {one.name for one in out.iterdir()} == {
+        *("identification.csv", "identification.json", "identification_curves.csv", "report.html"),
+        *("identification_curves.png", "identification_errors.png"),
+    }
+    found = json.loads((out / "identification.json").read_text(encoding="utf-8"))
+    assert found["status"] == "ok" and found["intervals_by"] == "laplace"
+    for row, (name, truth) in zip(rows_of(out / "identification.csv"), TRUTH.items(), strict=True):
+        assert row["error"] == name and float(row["estimate"]) == pytest.approx(found["estimate"][name])
+        assert float(row["low"]) < truth < float(row["high"])
+        assert float(row["tolerance_high"]) == -float(row["tolerance_low"])
+    assert [one["samples"] for one in found["signals"]] == [99, 50]
+    curves = rows_of(out / "identification_curves.csv")
+    assert len(curves) == 149 and {row["unit"] for row in curves} == {"rad/s", "N"}
+    left = {
+        when: np.std([float(row["measured"]) - float(row[when]) for row in curves[:99]]) for when in ("before", "after")
+    }
+    assert left["after"] == pytest.approx(0.02, rel=0.2) and left["before"] > 5.0 * left["after"]
+    # The candidate tells most of the shift, and is chosen first or second of three.
+    worth = {one["column"]: one for one in found["visibility"]["signals"]}
+    assert set(worth) == {"rate_rad_s", "A_force_x_N", "D_force_y_N"} and worth["D_force_y_N"]["place"] < 3
+    printed = capsys.readouterr().out
+    assert "status ok" in printed and "D.delta_x" in printed and "What the signals tell" in printed
+    assert max(len(line) for line in printed.splitlines() if str(tmp_path) not in line) <= WIDTH
+    (task,) = folder_content(out)["tasks"]
+    assert task["name"] == "identification" and len(task["result"]["curves"]) == 2
+
+
+def test_the_pictures_show_what_was_measured_and_found(path, tmp_path):
+    report = report_on(load_study(path), "identification")
+    result = report.run(tmp_path)
+    figures = report.pictures(result)
+    measured, before, after = figures["identification_curves"].axes[0].lines
+    np.testing.assert_array_equal(measured.get_ydata(), result.curves[0].measured)
+    np.testing.assert_array_equal(before.get_ydata(), result.curves[0].before)
+    np.testing.assert_array_equal(after.get_ydata(), result.curves[0].after)
+    axes = figures["identification_errors"].axes[0]
+    np.testing.assert_allclose(axes.lines[0].get_xdata(), result.estimate / result.prior_deviation)
+    assert [one.get_width() for one in axes.patches] == pytest.approx([6.0, 6.0])  # tolerances of 3 deviations
+
+
+def test_other_data_and_a_model_that_does_not_explain_them(path, tmp_path, capsys):
+    measure(tmp_path / "noisy.csv", noise=3.0)
+    assert main(["identify", str(path), "--out", str(tmp_path / "out"), "--data", str(tmp_path / "noisy.csv")]) == 3
+    printed = capsys.readouterr().out
+    assert "status misfit" in printed and "larger than the noise" in printed
+    assert main(["identify", str(path), "--out", str(tmp_path / "out"), "--data", "nowhere.csv"]) == 2
+    assert "nowhere.csv" in capsys.readouterr().err
+
+
+def test_without_data_it_tells_what_signals_can_tell(path, tmp_path, capsys):
+    path.write_text(STUDY + TABLES.replace('data = "measured.csv"\n', ""), encoding="utf-8")
+    assert main(["identify", str(path), "--out", str(tmp_path / "out")]) == 0
+    assert "Identifiability of 2 unknowns" in capsys.readouterr().out
+    found = json.loads((tmp_path / "out" / "identification.json").read_text(encoding="utf-8"))
+    for row in found["errors"]:
+        assert 0.0 < row["expected_deviation"] < 0.3 * row["prior_deviation"]
+    assert not list((tmp_path / "out").glob("*.png"))
+
+
+def test_check_says_what_is_asked(path):
+    text = tasks_text(load_study(path))
+    assert "rate_rad_s (noise 0.02 rad/s), A_force_x_N (noise 0.3 N, offset 1 N)" in text
+    assert "unknowns: D.delta_x, D.d_y" in text
+
+
+@pytest.mark.parametrize(
+    "before, after, words",
+    [
+        ("starts = 4", "starts = 0", ("[identification]", "`starts`", "at least 1")),
+        ("starts = 4", 'loss = "l1"', ("[identification]", "`loss`")),
+        ("starts = 4", 'unknowns = ["D.d_q"]', ("[identification]", "`D.d_q`")),
+        ("starts = 4", 'unknowns = ["D.d_z"]', ("[identification]", "`unknowns`", "`D.d_z`", "tolerances")),
+        ("starts = 4", 'at = { "Q.d_z" = "1 mm" }', ("`identification`", "`Q.d_z`")),
+        ("starts = 4", 'bounds = { "D.d_y" = ["1 mm", "0 mm"] }', ("[identification]", "`bounds`", "rise")),
+        ("starts = 4", 'time_shift = "-1 s"', ("[identification]", "`time_shift`", "negative")),
+        ("starts = 4", "time_shift = inf", ("[identification]", "`time_shift`", "finite")),
+        ("starts = 4", "data = 3", ("[identification]", "`data`", "CSV")),
+        ("rate_rad_s =", "rate_deg_s =", ("[identification]", "`rate_deg_s`", "SI units")),
+        ('"0.02 rad/s"', '"0.02 N"', ("[identification]", "`noise` of `rate_rad_s`", "force")),
+        ('"0.02 rad/s"', "-0.02", ("[identification.signals.rate_rad_s]", "`noise`", "negative")),
+        ('"0.02 rad/s"', "0.0", ("[identification]", "`noise` of `rate_rad_s`", "positive")),
+        ("D_force_y_N = { noise = 0.1 }", "D_force_y_N = {}", ("[identification]", "`candidates`", "`D_force_y_N`")),
+        ("noise = 0.3", "nose = 0.3", ("[identification.signals.A_force_x_N]", "`nose`", "`noise`")),
+    ],
+)
+def test_wrong_tables_are_refused_in_a_sentence(before, after, words, path, refused):
+    tables = TABLES if before != "starts = 4" or "data" not in after else TABLES.replace('data = "measured.csv"\n', "")
+    path.write_text(STUDY + tables.replace(before, after), encoding="utf-8")
+    with refused(*words):
+        load_study(path)
+
+
+MOVES = f"""
+[mechanism]
+{STEEL}{rectangle()}{link("arm", 0.2)}{link("block", 0.1)}{hinge("arm")}
+[[mechanism.joints]]
+name = "G"
+parent = "arm"
+child = "block"
+kind = "prismatic"
+[[mechanism.points]]
+name = "P"
+link = "block"
+position = 0.05
+[simulation]
+duration = 0.02
+method = "generalised_alpha"
+step = "2 ms"
+"""
+TURNS = '[[drives]]\njoint = "A"\nkind = "moment_ramp"\nmoment = 1.0\nrise_time = 0.1\n'
+SLIDES = '[[drives]]\njoint = "G"\nkind = "force_ramp"\nforce = 2.0\nrise_time = 0.1\n'
+OF_CASES_ONLY = ("_J", "_loss_J", "_dissipation_J")  # energies are no signals
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("drives", [TURNS, SLIDES, TURNS + SLIDES])
+def test_signals_are_the_columns_that_a_run_writes(drives, tmp_path):
+    path = tmp_path / "study.toml"
+    path.write_text(MOVES + drives, encoding="utf-8")
+    study = load_study(path)
+    (run,) = run_cases(study)[1].values()
+    written, known = history_columns(study, run), dict(run_columns(run))
+    measurable = [name for name in written if not name.endswith(OF_CASES_ONLY)]
+    assert len(measurable) > 20 and set(measurable) <= set(known)
+    for name in measurable:
+        np.testing.assert_array_equal(np.asarray(known[name]()), written[name], err_msg=name)
+        if name != "time_s":
+            np.testing.assert_array_equal(np.asarray(signal(name)(run)), written[name])
