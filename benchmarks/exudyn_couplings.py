@@ -6,6 +6,7 @@ The limit of its steps, extrapolated by their square, is what `references/geared
 x, y with angles from x to y: ours are about y, from x to -z.
 """
 
+import jax
 import numpy as np
 from exudyn_engine import exu, exut
 
@@ -68,7 +69,7 @@ def by_exudyn(step: float, duration: float) -> np.ndarray:
     settings.timeIntegration.newton.relativeTolerance = 1e-10
     settings.timeIntegration.generalizedAlpha.spectralRadius = DISSIPATION
     settings.timeIntegration.generalizedAlpha.computeInitialAccelerations = True
-    settings.solutionSettings.writeSolutionToFile = False
+    settings.solution.file.write = False
     system.SolveDynamic(settings)
     multipliers = np.array(system.systemData.GetAECoordinates())
     turned = system.systemData.GetODE2Coordinates()[2]
@@ -76,6 +77,7 @@ def by_exudyn(step: float, duration: float) -> np.ndarray:
 
 
 def main() -> None:
+    jax.config.update("jax_enable_x64", True)
     ours = {line.name: line.value for line in lines(run_five_bar())}
     print(f"{GROUP}: {'':14}{'Exudyn, limit':>16}{'rfem_jax':>16}{'difference':>12}")
     for time in REFERENCE["at"]:

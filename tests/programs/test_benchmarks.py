@@ -183,6 +183,12 @@ def test_joints_with_clearance_by_exudyn_and_by_an_own_code(run_program, tmp_pat
     assert re.search(r"ours 0\.\d+ s, own code 0\.\d+ s", said)
 
 
+def test_geared_five_bar_by_exudyn(run_program):
+    said = run_program("benchmarks/exudyn_couplings.py")
+    differences = [float(line.split()[-1]) for line in said.splitlines() if " at 0." in line]
+    assert len(differences) == 24 and max(map(abs, differences)) < 5e-7
+
+
 def test_time_of_exudyn(run_program):
     said = run_program("benchmarks/against_exudyn.py", "--trial", "--parts", "time")
     rows = rows_of(said)
