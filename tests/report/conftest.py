@@ -168,6 +168,7 @@ def synthetic_run(size, status=0):
         status=np.int32(status),
         friction_losses={},
         contacts={},
+        couplings={},
         contact_losses={},
         points={},
         recorded={},

@@ -17,7 +17,10 @@ from types import ModuleType, SimpleNamespace
 import pytest
 
 import rfem_jax
-import rfem_jax.mechanics.statics.designs  # the module itself serves beside the stand-in for its package
+
+# The modules themselves serve beside the stand-ins for their packages.
+import rfem_jax.mechanics.statics.designs
+import rfem_jax.simulation.quantities
 from rfem_jax import InputError, task_kinds
 from rfem_jax.compilation import cache, keeping
 from rfem_jax.compilation.cache import user_cache_folder
