@@ -193,9 +193,10 @@ def with_values(mechanism, values):
             if path[0] == "springs":
                 whole = _with_spring(whole, path, parameter, value)
                 continue
-            if path[0] == "joints" and number_at(whole, path[:3]) is None:
-                joint = dataclasses.replace(number_at(whole, path[:2]), **{path[2]: (0.0, 0.0, 0.0)})
-                whole = with_numbers(whole, {path[:2]: joint})
+            if path[0] in ("joints", "links") and number_at(whole, path[:3]) is None:
+                origin = (0.0, 0.0, 0.0) if path[0] == "joints" else 0.0
+                part = dataclasses.replace(number_at(whole, path[:2]), **{path[2]: origin})
+                whole = with_numbers(whole, {path[:2]: part})
             factor = scaled(number_at(whole, path), value) if parameter.factor else value
             whole = with_numbers(whole, {path: factor})
     links = [_with_derived_factor(link, before) for link, before in zip(whole.links, mechanism.links, strict=True)]

@@ -133,7 +133,8 @@ def test_html_of_runs_is_escaped(runs):
     metrics = jax.tree.map(lambda x: x, run.metrics)
     for one in vars(metrics).values():
         one[HOSTILE] = one["A"]
-    hostile = type(runs)({HOSTILE: replaced(run, loads=loads, metrics=metrics)})
+    preload = {HOSTILE: run.preload["A"]}
+    hostile = type(runs)({HOSTILE: replaced(run, loads=loads, metrics=metrics, preload=preload)})
     for text in (hostile._repr_html_(), hostile[HOSTILE]._repr_html_()):
         assert "<script" not in text and "&lt;script&gt;" in text
     batch = jax.tree.map(lambda *leaves: np.stack(leaves), *runs.values())
