@@ -33,7 +33,7 @@ GRAVITY, DISSIPATION = 9.81, 0.9  # m/s^2; spectral radius of the method at high
 def by_exudyn(step: float, duration: float) -> np.ndarray:
     """Angle of A [rad], moment of the gears at A [N m], and forces (x, z) [N] of all joints at the end."""
     system = exu.SystemContainer().AddSystem()
-    left, right = rod_angles()
+    left, right = rod_angles(0.0, TURN)
 
     def along(start, angle, length):
         return np.array(start) + length * np.array([np.cos(angle), -np.sin(angle)])

@@ -3,12 +3,12 @@
 import numpy as np
 
 from rfem_jax import Coupling, Joint, JointSpring, Mechanism
+from rfem_jax.validation.geared_mechanisms import APART, CRANK, ROD, TURN, rod_angles
 from tests.mechanisms import body, link
 
 ONE, TWO, RATIO = 0.02, 0.05, -0.5
 NO_GRAVITY = (0.0, 0.0, 0.0)
 LIFT, FOLLOWER, SPRING, PRELOAD, RATE = 8e-3, 0.4, 3e3, 60.0, 30.0
-CRANK, ROD, APART, TURN = 0.05, 0.2, 0.15, 0.8
 
 
 def rotor(name, inertia):
@@ -55,13 +55,3 @@ def geared_five_bar(rfes=None, reactions="minimum_norm", **mesh):
     mesh = Coupling("mesh", ("A", "E"), **({"ratio": 1.0} | mesh))
     rigid = {} if rfes else {"redundant_reactions": reactions}
     return Mechanism(links, joints, driven_joint="A", forces=[mesh], **rigid)
-
-
-def rod_angles(one, two):
-    """Angles of both rods about y, from those of the cranks, where the rods' circles meet above."""
-    cranks = (0.0, one), (APART, two)
-    pins = [np.array([x, 0.0]) + CRANK * np.array([np.cos(q), -np.sin(q)]) for x, q in cranks]
-    middle, half = 0.5 * (pins[0] + pins[1]), 0.5 * (pins[1] - pins[0])
-    across = np.array([-half[1], half[0]]) / np.linalg.norm(half)
-    meeting = middle + across * np.sqrt(ROD**2 - half @ half)
-    return [np.arctan2(-(meeting - pin)[1], (meeting - pin)[0]) for pin in pins]

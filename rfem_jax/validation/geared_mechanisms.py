@@ -27,9 +27,9 @@ GROUP = "Geared five-bar, ideal gears"
 SHARE, ANGLE = 5e-7, 1e-7  # of loads; rad
 
 
-def rod_angles() -> tuple[float, float]:
-    """Angles about y of both rods at the start, where the rods meet above the cranks."""
-    pins = [np.array([x, 0.0]) + CRANK * np.array([np.cos(q), -np.sin(q)]) for x, q in ((0.0, 0.0), (APART, TURN))]
+def rod_angles(one: float, two: float) -> tuple[float, float]:
+    """Angles [rad] about y of both rods, which meet above the cranks, from those of the cranks."""
+    pins = [np.array([x, 0.0]) + CRANK * np.array([np.cos(q), -np.sin(q)]) for x, q in ((0.0, one), (APART, two))]
     half = 0.5 * (pins[1] - pins[0])
     across = np.array([-half[1], half[0]]) / np.linalg.norm(half)
     meeting = pins[0] + half + across * np.sqrt(ROD**2 - half @ half)
@@ -42,7 +42,7 @@ def five_bar() -> Mechanism:
     steel, section = Material("steel", 2.1e11, poisson_ratio=0.3, density=DENSITY), Rectangle(SIDE, SIDE)
     lengths = {"one": CRANK, "left": ROD, "right": ROD, "two": CRANK}
     links = tuple(Link(name, length, section, steel, rigid=True) for name, length in lengths.items())
-    left, right = rod_angles()
+    left, right = rod_angles(0.0, TURN)
     joints = (
         Joint("A", "base", "one", angle=0.0),
         Joint("B", "one", "left", angle=left),

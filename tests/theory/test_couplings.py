@@ -26,8 +26,8 @@ from rfem_jax import (
     simulate,
 )
 from rfem_jax.simulation.stability import eigenvalues
+from rfem_jax.validation.geared_mechanisms import CRANK, ROD, TURN, rod_angles
 from tests.coupled_mechanisms import (
-    CRANK,
     FOLLOWER,
     LIFT,
     NO_GRAVITY,
@@ -35,14 +35,11 @@ from tests.coupled_mechanisms import (
     PRELOAD,
     RATE,
     RATIO,
-    ROD,
     SPRING,
-    TURN,
     TWO,
     cam,
     gear_pair,
     geared_five_bar,
-    rod_angles,
     rotor,
 )
 from tests.derivatives import check_derivatives

@@ -36,8 +36,8 @@ from rfem_jax.mechanics.kinematics.motion import motion_of
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.simulation.observation import cut_drift
 from rfem_jax.simulation.stability import eigenvalues
+from rfem_jax.validation.geared_mechanisms import CRANK, ROD, TURN, rod_angles
 from tests.coupled_mechanisms import (
-    CRANK,
     FOLLOWER,
     LIFT,
     NO_GRAVITY,
@@ -45,14 +45,11 @@ from tests.coupled_mechanisms import (
     PRELOAD,
     RATE,
     RATIO,
-    ROD,
     SPRING,
-    TURN,
     TWO,
     cam,
     gear_pair,
     geared_five_bar,
-    rod_angles,
     rotor,
 )
 from tests.derivatives import check_derivatives

@@ -522,6 +522,7 @@ def test_bad_data_is_refused_in_a_sentence(change, words, refused):
     [
         ("", ("`time_s`", "none")),
         ("time_s,rate_rad_s\n0.1,0\n", ("`A_force_x_N`", "none")),
+        ("time_s;rate_rad_s;A_force_x_N\n0,1;0;1\n", ("commas between its columns", "points")),
         ("time_s,rate_rad_s,A_force_x_N\n0.1,0,x\n", ("'x'", "row 2", "`A_force_x_N`")),
         ("time_s,rate_rad_s,A_force_x_N\n0.1,0,nan\n0.2,0,1\n0.3,0,1\n0.4,0,1\n", ("finite numbers", "nan")),
     ],

@@ -83,6 +83,11 @@ def _of_file(path: Path, columns: list[str]) -> dict[str, tuple[list[float], lis
             f"with the columns `{TIME}` and those of the signals."
         ) from None
     header = [cell.strip() for cell in header]
+    if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
+        raise InputError(
+            f"Argument `data` must have commas between its columns, but `{path}` has other marks; write it with "
+            "commas, and with points in decimal numbers."
+        )
     _require_columns([TIME, *columns], header, f"`{path}`")
     places = {name: header.index(name) for name in (TIME, *columns)}
     found: dict[str, tuple[list[float], list[float]]] = {name: ([], []) for name in columns}
