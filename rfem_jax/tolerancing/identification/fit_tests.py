@@ -1,6 +1,6 @@
 """Whether a model fits what was measured: chi-square and whiteness of what it leaves over.
 
-Place in the pipeline: residuals at the estimate -> **fit_tests** -> identification_study.
+Place in the pipeline: residuals at the estimate -> **fit_tests** -> conclusion.
 
     chi^2 = sum r_i^2 with n - trace(H^-1 J^T J) degrees of freedom                                  (17.11)
     Q = n (n + 2) sum_l rho_l^2 / (n - l) with L degrees of freedom, rho_l the autocorrelation at lag l   (17.12)

@@ -1,6 +1,6 @@
 """The results: what was found of the errors and how sure it is; what could be known of them.
 
-Place in the pipeline: identification_study -> **identification_result** -> terminal, files, page, notebooks.
+Place in the pipeline: conclusion -> **identification_result** -> terminal, files, page, notebooks.
 """
 
 from collections.abc import Sequence

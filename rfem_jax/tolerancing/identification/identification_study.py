@@ -1,13 +1,12 @@
 """From measurements to errors: the estimate, how sure it is, whether the model fits, what could be known beforehand.
 
-Place in the pipeline: problem, measurements, tolerances -> **identification_study** -> Identification.
+Place in the pipeline: problem, measurements, tolerances -> **identification_study**, conclusion -> Identification.
 
 Symbols: k unknowns, p parameters (with the sensors' faults), w searches.
 Source: theory (17.1) to (17.14).
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import jax
@@ -23,38 +22,14 @@ from rfem_jax.description.tasks.settings import fraction, whole_number
 from rfem_jax.simulation.specification import Simulation
 from rfem_jax.tolerancing.checks import ErrorValues
 from rfem_jax.tolerancing.designs.sweep_study import Bounds, read_fixed
-from rfem_jax.tolerancing.identification.fit_tests import SignalFit, chance, verdict_on, whiteness
-from rfem_jax.tolerancing.identification.identification_result import Curve, Identifiability, Identification, ModeFound
+from rfem_jax.tolerancing.identification.conclusion import conclude
+from rfem_jax.tolerancing.identification.identification_result import Identifiability, Identification
 from rfem_jax.tolerancing.identification.levenberg_marquardt import Searches, search
 from rfem_jax.tolerancing.identification.measurements import Data, History, read_data, read_signals
-from rfem_jax.tolerancing.identification.observability import (
-    VANISHING,
-    Visibility,
-    rank_signals,
-    see,
-    signal_information,
-    without_shift,
-)
-from rfem_jax.tolerancing.identification.posterior import (
-    DEPARTURE,
-    FEW,
-    LEAST_EFFECTIVE,
-    Mode,
-    Sampled,
-    departure,
-    draw,
-    find_modes,
-    without_saddles,
-)
-from rfem_jax.tolerancing.identification.predictions import (
-    Prediction,
-    Predictor,
-    interpolation_error,
-    scaled_base,
-    spline,
-)
+from rfem_jax.tolerancing.identification.observability import information_of, symmetric_unknowns, visibility_of
+from rfem_jax.tolerancing.identification.predictions import Predictor, scaled_base
 from rfem_jax.tolerancing.identification.prior import Prior, read_prior
-from rfem_jax.tolerancing.identification.residuals import Residuals, robust
+from rfem_jax.tolerancing.identification.residuals import Residuals
 from rfem_jax.tolerancing.identification.signals import signal
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
 from rfem_jax.tolerancing.problems.simulated_problem import Problem
@@ -63,8 +38,6 @@ from rfem_jax.tolerancing.sampling.sequences import RandomKey, unit_points
 
 ROUNDS = 6  # of estimates of the noise
 SETTLED = 0.02  # relative change of an estimated noise
-COARSE = 0.3  # standard deviations of the noise: an error of interpolation that counts
-MAD_EFFICIENCY = 0.37  # of the median of absolute values beside the standard deviation, of normal numbers
 SEARCH = "search"
 
 Problems = ToleranceProblem | Simulation | Sequence[ToleranceProblem | Simulation]
@@ -129,7 +102,7 @@ def identify(
     residuals = Residuals(known, predictors, histories, sensors, _shift(time_shift), loss)
     with ProgressBar(progress, iterations, unit=SEARCH) as bar:
         searches = _settle(residuals, _starts(residuals, key, starts), iterations, bar.advance)
-    return _conclude(residuals, searches, further, level, samples, key)
+    return conclude(residuals, searches, further, level, samples, key)
 
 
 def _histories(data: list[Data], sensors: Sensors, experiments: int) -> list[list[History]]:
@@ -174,20 +147,22 @@ def identifiability(
     key = jax.random.key(0) if key is None else key
     z = _prior_points(known, key, whole_number(points, "points", 1))
     prediction = predictor.at(known.errors(z), derivatives=True)
-    good = np.flatnonzero(np.isfinite(prediction.values).all(axis=(1, 2)))
+    good = np.flatnonzero(np.isfinite(prediction.values).all(axis=(1, 2))).tolist()
     seen = None
-    if len(good):
+    if good:
         at_times = predictor.times if sample_times is None else np.asarray(sample_times, dtype=float)
-        parts = {
-            column: np.mean(
-                [_part(known, predictor, prediction, w, column, sensors, at_times, shift) for w in good], axis=0
-            )
-            for column in sensors
-        }
+
+        def mean_information(column: str) -> np.ndarray:
+            of_points = [
+                information_of(known, predictor, prediction, w, column, sensors[column], at_times, shift) for w in good
+            ]
+            return np.mean(of_points, axis=0)
+
+        parts = {column: mean_information(column) for column in sensors}
         slopes = prediction.derivatives @ known.root
         noise = np.array([sensors[column].noise for column in sensors])
         size = np.sqrt(np.sum((slopes / noise[None, :, None, None]) ** 2, axis=(1, 2)))
-        seen = _visibility(known, parts, bool(shift), _symmetric(known.names, size))
+        seen = visibility_of(known, parts, bool(shift), symmetric_unknowns(known.names, size))
     return Identifiability(known.names, known.units, known.scale, seen, len(z), len(z) - len(good))
 
 
@@ -278,230 +253,3 @@ def _noises(residuals: Residuals, found: Searches, w: int) -> list[float]:
             factor = 1.4826 * float(np.median(np.abs(r)))
         noises.append(one.noise * max(factor, 1e-9))
     return noises
-
-
-def _conclude(residuals, searches, further, confidence, samples, key) -> Identification:
-    """From the ends of the searches to the result."""
-    finite = np.isfinite(searches.misfit.cost)
-    if not finite.any():
-        return _without(residuals, searches, confidence, samples)
-
-    def costs(theta):
-        return residuals.evaluate(theta, derivatives=False).cost
-
-    k = len(residuals.prior.names)
-    modes = without_saddles(find_modes(residuals, searches), costs, k)
-    drawn = draw(modes, costs, residuals.low, residuals.high, jax.random.fold_in(key, 1), samples) if modes else None
-    best = modes[0].search if modes else int(np.argmin(searches.misfit.cost))
-    found = residuals.predict(searches.theta[best : best + 1])
-    signals, seen = _fits(residuals, searches, best, found), _seen(residuals, searches, found, further)
-    far = departure(modes, drawn, k) if drawn is not None else np.inf
-    normal = drawn is not None and far < DEPARTURE and drawn.effective >= max(LEAST_EFFECTIVE * samples, FEW)
-    method = "laplace" if normal or drawn is None or drawn.effective < FEW else "importance"
-    found = _interval(residuals, modes, drawn, method, confidence, searches.theta[best])
-    status = _status(searches, modes, signals, normal or method == "importance")
-    remarks = [*_remarks(residuals, searches, modes, signals), *_interval_remarks(method, normal, drawn, far, samples)]
-    return replace(
-        _without(residuals, searches, confidence, samples), status=status, method=method,
-        modes=tuple(ModeFound(residuals.prior.errors(m.theta[:k]), m.cost, m.probability) for m in modes),
-        effective=0.0 if drawn is None else drawn.effective, departure=far, signals=tuple(signals), visibility=seen,
-        curves=tuple(_curves(residuals, searches, best)), remarks=tuple(remarks), **found,
-    )  # fmt: skip
-
-
-def _without(residuals: Residuals, searches: Searches, confidence: float, samples: int) -> Identification:
-    """The result where nothing was found."""
-    prior, nan = residuals.prior, np.full(len(residuals.prior.names), np.nan)
-    return Identification(
-        names=prior.names, error_units=prior.units, estimate=nan, deviation=nan, low=nan, high=nan,
-        covariance=np.outer(nan, nan), prior_mean=prior.mean, prior_deviation=prior.deviations,
-        tolerances=prior.tolerances, beyond=nan, confidence=confidence, status="failed", method="laplace", modes=(),
-        effective=0.0, samples=samples, departure=np.inf, signals=(), curves=(), visibility=None, remarks=(),
-        steps=searches.steps, starts=len(searches.theta), converged=int(searches.converged.sum()),
-    )  # fmt: skip
-
-
-def _status(searches: Searches, modes: list[Mode], signals: list[SignalFit], sampled: bool) -> str:
-    if not searches.converged.any():
-        return "not_converged"
-    if not modes:
-        return "undetermined"
-    if any(one.verdict != "fits" for one in signals):
-        return "misfit"
-    if not sampled:
-        return "uncertain"
-    return "ambiguous" if len(modes) > 1 else "ok"
-
-
-def _interval(residuals, modes: list[Mode], drawn: Sampled | None, method, confidence, theta) -> dict[str, Any]:
-    """Estimate, deviations, interval, covariance and probabilities beyond the tolerances, about the best mode."""
-    prior, k = residuals.prior, len(residuals.prior.names)
-    estimate, nan = prior.errors(theta[:k]), np.full(k, np.nan)
-    if not modes:
-        infinite = np.full(k, np.inf)
-        return {"estimate": estimate, "deviation": infinite, "low": -infinite, "high": infinite}
-    tail = 0.5 * (1.0 - confidence)
-    covariance = prior.root @ modes[0].covariance[:k, :k] @ prior.root.T
-    deviation = np.sqrt(np.diag(covariance))
-    low, high = (estimate + norm.ppf(one) * deviation for one in (tail, 1.0 - tail))
-    with np.errstate(invalid="ignore"):
-        beyond = sum(
-            (
-                m.probability
-                * _outside(prior.errors(m.theta[:k]), prior.root @ m.covariance[:k, :k] @ prior.root.T, prior)
-                for m in modes
-            ),
-            start=np.zeros(k),
-        )
-    if method == "importance" and drawn is not None:
-        x = prior.errors(drawn.theta[:, :k])
-        pairs = [drawn.quantiles(x[:, i], 0, (tail, 1.0 - tail)) for i in range(k)]
-        low, high = np.array(pairs).T
-        mine = np.where(drawn.nearest == 0, drawn.weights, 0.0)
-        mine = mine / mine.sum()
-        away = x - mine @ x
-        covariance = (mine[:, None] * away).T @ away
-        deviation = np.sqrt(np.diag(covariance))
-        outside = (x < prior.tolerances[:, 0]) | (x > prior.tolerances[:, 1])
-        beyond = np.where(np.isnan(prior.tolerances[:, 0]), nan, drawn.weights @ outside)
-    low, high = np.maximum(low, prior.ends[0]), np.minimum(high, prior.ends[1])
-    return {
-        "estimate": estimate, "deviation": deviation, "low": low, "high": high, "covariance": covariance,
-        "beyond": beyond,
-    }  # fmt: skip
-
-
-def _outside(x: np.ndarray, covariance: np.ndarray, prior: Prior) -> np.ndarray:
-    deviation = np.sqrt(np.diag(covariance))
-    return norm.cdf((prior.tolerances[:, 0] - x) / deviation) + norm.sf((prior.tolerances[:, 1] - x) / deviation)
-
-
-def _fits(residuals: Residuals, searches: Searches, w: int, predictions: list[Prediction]) -> list[SignalFit]:
-    """How every signal is fitted by search w, whose end has these predictions."""
-    misfit, tests = searches.misfit, 2 * len(residuals.signals)
-    inverse = np.linalg.pinv(misfit.curvature[w], hermitian=True)
-    found = []
-    for s, (one, part) in enumerate(zip(residuals.signals, residuals.slices, strict=True)):
-        r, j = misfit.residual[w, part], misfit.jacobian[w, part]
-        freedom, squares = len(r) - float(np.sum((j @ inverse) * j)), float(r @ r)
-        if residuals.loss != "gaussian":
-            freedom = MAD_EFFICIENCY * len(r)
-            squares = freedom * (1.4826 * float(np.median(np.abs(r)))) ** 2
-        estimated = one.sensor.noise is None
-        by_chance = np.nan if estimated else chance(squares, freedom)
-        white = whiteness(robust(residuals.loss, r)[0] * r)
-        predictor = residuals.predictors[one.experiment]
-        values = predictions[one.experiment].values[0, predictor.columns.index(one.history.column)]
-        coarse = interpolation_error(predictor.times, values) / one.noise
-        verdict = verdict_on(squares, freedom, by_chance, white, tests)
-        before = searches.first.residual[0, part]
-        faults = residuals.faults(searches.theta[w], s)
-        found.append(
-            SignalFit(
-                column=one.history.column, unit=signal(one.history.column).unit, experiment=one.experiment + 1,
-                samples=len(r), noise=one.noise, estimated=estimated, shift=faults["shift"], offset=faults["offset"],
-                gain=faults["gain"], remainder=one.noise * float(np.sqrt(np.mean(r**2))),
-                before=one.noise * float(np.sqrt(np.mean(before**2))), chi_square=squares, freedom=freedom,
-                chi_square_chance=by_chance, whiteness_chance=white, interpolation=coarse, verdict=verdict,
-            )
-        )  # fmt: skip
-    return found
-
-
-def _curves(residuals: Residuals, searches: Searches, w: int) -> list[Curve]:
-    found = []
-    for one, part in zip(residuals.signals, residuals.slices, strict=True):
-        before, after = (one.noise * r[part] for r in (searches.first.residual[0], searches.misfit.residual[w]))
-        history = one.history
-        y = history.values
-        found.append(Curve(history.column, one.experiment + 1, history.times, y, y + before, y + after))
-    return found
-
-
-def _part(prior, predictor, prediction, w, column, sensors, times, shift) -> np.ndarray:
-    """Information (k+1, k+1) of a signal at one point."""
-    row, sensor = predictor.columns.index(column), sensors[column]
-    values = np.concatenate([prediction.values[w, row][:, None], prediction.derivatives[w, row] @ prior.root], axis=1)
-    through = spline(predictor.times, values)
-    found = through(times)
-    slopes = np.concatenate([found[:, 1:], -shift * through(times, 1)[:, :1]], axis=1)
-    return signal_information(slopes, found[:, 0], sensor.noise, sensor.offset, sensor.gain)
-
-
-def _visibility(prior: Prior, parts: dict[str, np.ndarray], shifts: bool, symmetric: Sequence[str]) -> Visibility:
-    whole = without_shift(np.sum(list(parts.values()), axis=0), shifts)
-    columns = list(parts)
-    return see(prior.names, whole, symmetric, rank_signals(columns, list(parts.values()), shifts))
-
-
-def _symmetric(names: Sequence[str], size: Float[np.ndarray, "w k"]) -> tuple[str, ...]:
-    """Unknowns whose slopes (w, k) vanish at the first point, but not elsewhere."""
-    if not np.isfinite(size[0]).all():
-        return ()
-    largest = np.nanmax(size, axis=0)
-    return tuple(name for i, name in enumerate(names) if size[0, i] < VANISHING * largest[i])
-
-
-def _seen(residuals: Residuals, searches: Searches, predictions: list[Prediction], further: Sensors) -> Visibility:
-    """What the signals, and further ones, tell at the estimate, of all experiments together."""
-    k, prior = len(residuals.prior.names), residuals.prior
-    own = {one.history.column: replace(one.sensor, noise=one.noise) for one in residuals.signals}
-    parts: dict[str, np.ndarray] = {}
-    for e, predictor in enumerate(residuals.predictors):
-        mine = {one.history.column: one for one in residuals.signals if one.experiment == e}
-        clock = next(iter(mine.values())).history.times
-        for column in predictor.columns:
-            sensor = {column: replace(own[column], noise=mine[column].noise) if column in mine else further[column]}
-            times = mine[column].history.times if column in mine else clock
-            part = _part(prior, predictor, predictions[e], 0, column, sensor, times, residuals.time_shift)
-            if len(residuals.predictors) > 1:  # each has a shift of its own
-                part = np.pad(without_shift(part, bool(residuals.time_shift)), ((0, 1), (0, 1)))
-            parts[column] = parts.get(column, 0.0) + part
-    size = np.sqrt(np.sum(searches.first.jacobian[:, :, :k] ** 2, axis=1))
-    size[~np.isfinite(searches.first.cost)] = np.nan
-    return _visibility(prior, parts, bool(residuals.time_shift), _symmetric(prior.names, size))
-
-
-def _remarks(residuals: Residuals, searches: Searches, modes: list[Mode], signals: list[SignalFit]) -> list[str]:
-    """Sentences about searches, signals and modes."""
-    found, k = [], len(residuals.prior.names)
-    failed = int((~np.isfinite(searches.first.cost)).sum())
-    if failed:
-        found.append(f"{failed} of {len(searches.theta)} starts failed, as their runs did.")
-    for one, part in zip(residuals.signals, residuals.slices, strict=True):
-        if not np.any(np.abs(searches.first.jacobian[:, part, :k]) > 1e-9):
-            found.append(f"`{one.history.column}` does not depend on any unknown: it tells nothing of them.")
-    for one in signals:
-        if one.interpolation > COARSE:
-            found.append(
-                f"Between saved times `{one.column}` is interpolated with errors of {one.interpolation:.2g} standard "
-                "deviations of its noise; take a smaller `save_every`."
-            )
-    for one in modes[1:]:
-        changed = _mirrored(residuals, modes[0], one)
-        if changed:
-            found.append(
-                f"The same errors with {'the opposite sign' if len(changed) == 1 else 'opposite signs'} of "
-                f"{', '.join(changed)} explain the data, too (probability {one.probability:.2g})."
-            )
-    return found
-
-
-def _interval_remarks(method: str, normal: bool, drawn: Sampled | None, far: float, samples: int) -> list[str]:
-    if drawn is None:
-        return []
-    said = f"{drawn.effective:.0f} effective of {samples} samples"
-    if normal:
-        return [f"The normal approximation of the posterior holds ({said}, departure {far:.2g} standard deviations)."]
-    words = "intervals are those of the samples" if method == "importance" else "intervals are rough"
-    return [f"The posterior is not normal ({said}, departure {far:.2g} standard deviations): {words}."]
-
-
-def _mirrored(residuals: Residuals, best: Mode, other: Mode) -> list[str]:
-    """Unknowns with another sign in another mode, which is the same but for signs; none where it is not."""
-    k, prior = len(residuals.prior.names), residuals.prior
-    x, y = prior.errors(best.theta[:k]), prior.errors(other.theta[:k])
-    spread = 3.0 * np.sqrt(np.diag(prior.root @ (best.covariance + other.covariance)[:k, :k] @ prior.root.T))
-    opposite = (np.abs(x + y) < spread) & (np.abs(x - y) > spread)
-    same = np.abs(x - y) < spread
-    return [name for name, one in zip(prior.names, opposite, strict=True) if one] if np.all(opposite | same) else []

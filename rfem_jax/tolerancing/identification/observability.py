@@ -1,6 +1,6 @@
 """What measurements can tell of errors, before any is made: information, invisible combinations, the best signals.
 
-Place in the pipeline: predictions, prior -> **observability** -> identification_study, result.
+Place in the pipeline: predictions, prior -> **observability** -> conclusion, identification_study.
 
     I = sum over signals of A_ss - A_sn (A_nn + P_n)^-1 A_ns,   A = J^T J / sigma^2                  (17.13)
 
@@ -23,6 +23,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+
+from rfem_jax.description.tasks.identification import Sensor
+from rfem_jax.tolerancing.identification.predictions import Prediction, Predictor, spline
+from rfem_jax.tolerancing.identification.prior import Prior
 
 INVISIBLE, WEAK = 1e-2, 1.0  # singular values
 ALIKE = 0.99  # cosine of the effects of two errors
@@ -140,6 +144,35 @@ def see(
             "size by the second, and may leave their signs open."
         )
     return Visibility(tuple(names), singular, directions, left, tuple(symmetric), worth, tuple(sentences))
+
+
+def information_of(
+    prior: Prior, predictor: Predictor, prediction: Prediction, w: int, column: str, sensor: Sensor,
+    times: Float[np.ndarray, " n"], shift: float,
+) -> Float[np.ndarray, "m m"]:  # fmt: skip
+    """Information (k+1, k+1) of a signal, and of the shift of its clock, sampled at `times` [s], of run w."""
+    row = predictor.columns.index(column)
+    assert prediction.derivatives is not None and sensor.noise is not None, "asked for, and estimated where not given"
+    values = np.concatenate([prediction.values[w, row][:, None], prediction.derivatives[w, row] @ prior.root], axis=1)
+    through = spline(predictor.times, values)
+    found = through(times)
+    slopes = np.concatenate([found[:, 1:], -shift * through(times, 1)[:, :1]], axis=1)
+    return signal_information(slopes, found[:, 0], sensor.noise, sensor.offset, sensor.gain)
+
+
+def visibility_of(prior: Prior, parts: dict[str, np.ndarray], shifts: bool, symmetric: Sequence[str]) -> Visibility:
+    """What all signals together tell, and each of them, from their information (k+1, k+1); `shifts`: whether the clock
+    may be off."""
+    whole = without_shift(np.sum(list(parts.values()), axis=0), shifts)
+    return see(prior.names, whole, symmetric, rank_signals(list(parts), list(parts.values()), shifts))
+
+
+def symmetric_unknowns(names: Sequence[str], size: Float[np.ndarray, "w k"]) -> tuple[str, ...]:
+    """Unknowns whose slopes (w, k) vanish at the first point, but not elsewhere."""
+    if not np.isfinite(size[0]).all():
+        return ()
+    largest = np.nanmax(size, axis=0)
+    return tuple(name for i, name in enumerate(names) if size[0, i] < VANISHING * largest[i])
 
 
 def combination(names: Sequence[str], row: Float[np.ndarray, " k"], most: int | None = None) -> str:

@@ -1,6 +1,6 @@
 """How sure an estimate is: the normal approximation at every mode of the posterior, checked by samples of it.
 
-Place in the pipeline: ends of searches -> **posterior** -> identification_study.
+Place in the pipeline: ends of searches -> **posterior** -> conclusion.
 
     covariance = H^-1 at a mode (Laplace);   P(mode) ~ exp(-Phi/2) |H|^(-1/2)                       (17.7)
     w_j ~ exp(-Phi(theta_j)/2) / q(theta_j),   effective number = (sum w)^2 / sum w^2               (17.8)
