@@ -117,6 +117,8 @@ class LabelledStatics(LabelledResult):
                         f"{what} of the mechanism on its base, global axes")  # fmt: skip
         for name in self.results[0].points:
             put(f"place_{name}", ("component",), lambda r, n=name: r.points[n].position, "m", f"place of {name}")
+            put(f"angles_{name}", ("component",), lambda r, n=name: r.points[n].angles_where(r.status == 0), "rad",
+                f"angles of the link at {name}, of R_y R_z R_x")  # fmt: skip
         for name in self.results[0].couplings:
             put(f"coupling_load_{name}", ("coupled",), lambda r, n=name: r.couplings[n].loads, "N m or N",
                 f"load of coupling {name} along its two coordinates")  # fmt: skip
@@ -133,6 +135,7 @@ class LabelledStatics(LabelledResult):
 
     def _rows_of(self, c: int) -> Iterator[dict[str, Any]]:
         result, case = self.results[c], self.cases[c]
+        angles = {name: path.angles_where(result.status == 0) for name, path in result.points.items()}
         for i, code in enumerate(result.status):
             row: dict[str, Any] = {"case": case, "number": i, "status": STATUS[int(code)].name}
             for label in self.labels:
@@ -147,6 +150,7 @@ class LabelledStatics(LabelledResult):
                     row |= _components(f"{joint}_{what}", getattr(load, what)[i], unit)
             for name, path in result.points.items():
                 row |= _components(name, np.asarray(path.position[i]), "m")
+                row |= _components(f"{name}_angle", angles[name][i], "rad")
             for name, record in result.recorded.items():
                 owner, _, kind = name.rpartition(".")
                 if kind == "deflection":

@@ -5,6 +5,7 @@ Place in the pipeline: turn -> **labelled_turn** -> notebooks, report.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import jax
@@ -13,6 +14,7 @@ from jaxtyping import Float
 
 from rfem_jax.description.metrics.shaking_metrics import RECORD
 from rfem_jax.labelled_data import COMPONENTS, Arrays, Labelled, LabelledResult, Parts, Table, column_name
+from rfem_jax.mechanics.dynamics.load_axes import AXES
 from rfem_jax.mechanics.model.status import STATUS
 
 ON_BASE = "on the base"
@@ -43,6 +45,16 @@ class LabelledTurn(LabelledResult):
         """Units of the positions, and of what holds there."""
         return ("m", "N") if self.turn.slides else ("rad", "N m")
 
+    @cached_property
+    def angles(self) -> dict[str, Float[np.ndarray, "cases positions 3"]]:
+        """Angles [rad] of the links at the points that are followed, NaN at positions that were not assembled."""
+
+        def over_cases(path: Any) -> Float[np.ndarray, "cases positions 3"]:
+            one = (jax.tree.map(lambda values, c=c: values[c], path) for c in range(len(self.cases)))
+            return np.stack([path.angles_where(codes == 0) for path, codes in zip(one, self.turn.status, strict=True)])
+
+        return {name: over_cases(path) for name, path in self.turn.points.items()}
+
     def statuses(self) -> list[str]:
         """Status of every case: ok, or that of its first position that was not assembled."""
         return [STATUS[int(codes[codes != 0][0]) if (codes != 0).any() else 0].name for codes in self.turn.status]
@@ -70,7 +82,7 @@ class LabelledTurn(LabelledResult):
         }
 
     def arrays(self) -> Arrays:
-        """Loads, what holds, stresses and places, by case and position."""
+        """Loads, what holds, stresses, places and angles of points, by case and position."""
         turn, at, (unit, held) = self.turn, ("case", "number"), self.units
         coordinates: dict[str, Any] = {"case": self.cases, "joint": self.joints, "component": COMPONENTS}
         variables = {
@@ -83,13 +95,19 @@ class LabelledTurn(LabelledResult):
         for what, of in _LOADS:
             values = np.stack([getattr(turn.loads[name], what) for name in self.joints], axis=2)
             variables[what] = Labelled((*at, "joint", "component"), values, of, f"joint {what}, frame H")
+            if turn.in_axes:
+                values = np.stack([getattr(turn.in_axes[name], what) for name in self.joints], axis=2)
+                meaning = f"joint {what}, {AXES[turn.axes]}"
+                variables[f"{what}_{turn.axes}"] = Labelled((*at, "joint", "component"), values, of, meaning)
             if turn.shaking is not None:
                 meaning = f"{what} of the mechanism on its base, global axes"
                 variables[f"{RECORD}_{what}"] = Labelled((*at, "component"), getattr(turn.shaking, what), of, meaning)
         for name, values in turn.stress.items():
             variables[f"stress_{name}"] = Labelled(at, values, "Pa", f"largest von Mises stress in {name}")
-        for name, values in turn.places.items():
-            variables[f"place_{name}"] = Labelled((*at, "component"), values, "m", f"place of {name}")
+        for name, one in turn.points.items():
+            variables[f"place_{name}"] = Labelled((*at, "component"), one.position, "m", f"place of {name}")
+            meaning = f"angles of the link at {name}, of R_y R_z R_x"
+            variables[f"angles_{name}"] = Labelled((*at, "component"), self.angles[name], "rad", meaning)
         attributes = {"title": "rfem_jax: a mechanism held still over the range of its drive"}
         return variables, coordinates, attributes | {"status_meanings": " ".join(one.name for one in STATUS)}
 
@@ -109,8 +127,12 @@ class LabelledTurn(LabelledResult):
         for name, load in {**{name: turn.loads[name] for name in self.joints}, **shaking}.items():
             for what, of in _LOADS:
                 row |= _components(f"{name}_{what}", getattr(load, what)[c, i], of)
-        for name, places in turn.places.items():
-            row |= _components(name, places[c, i], "m")
+        for name, load in turn.in_axes.items():
+            for what, of in _LOADS:
+                row |= _components(f"{name}_{what}_{turn.axes}", getattr(load, what)[c, i], of)
+        for name, one in turn.points.items():
+            row |= _components(name, one.position[c, i], "m")
+            row |= _components(f"{name}_angle", self.angles[name][c, i], "rad")
         return row | {f"{name}_stress_Pa": float(values[c, i]) for name, values in turn.stress.items()}
 
     def parts(self) -> Parts:

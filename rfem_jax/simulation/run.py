@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from rfem_jax.description.metrics.path_metrics import angles_of_rotation
 from rfem_jax.labelled_data import DataFrame, Dataset
@@ -264,6 +264,12 @@ class PointPath(eqx.Module):
         of a planar mechanism, which may exceed a revolution; the other two are small where the link stays near that
         plane (theory (8.20)). In the plane of x and y it is that about z, with rotation = R_z R_-y R_x."""
         return angles_of_rotation(jnp.asarray(self.rotation), self.plane)
+
+    def angles_where(self, good: Bool[np.ndarray, " times"]) -> Float[np.ndarray, "times 3"]:
+        """The angles of one path where it is `good`, NaN elsewhere; its turns are counted over what is good."""
+        angles = np.full(np.shape(self.position), np.nan)
+        angles[good] = angles_of_rotation(jnp.asarray(self.rotation)[good], self.plane)
+        return angles
 
 
 class Run(eqx.Module):

@@ -30,7 +30,9 @@ from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics.assembly import Load, held_angles, named
 from rfem_jax.mechanics.statics.designs import designed, status_of
+from rfem_jax.simulation.equations import Numbers
 from rfem_jax.simulation.poses import ClosedPose, posed, search_poses
+from rfem_jax.simulation.run import PointPath
 from rfem_jax.simulation.statics import at_rest, holding_load, largest_stresses, shaking_at_rest
 
 if TYPE_CHECKING:
@@ -46,8 +48,8 @@ class Turn(eqx.Module):
     holding: moment [N m] or force [N] that holds the driven coordinate; energy [J]: elastic and of gravity; stress
     [Pa]: largest von Mises stress of every link whose section's edge is known (rigid links too); status of each
     assembly; contacts (positions, ...): of the joints with clearance, by their names; linear_error: estimated error of
-    linear elements (`linear_validity`); places [m] (positions, 3) of the points whose paths are followed, couplings
-    (positions, 2): loads [N m, N] along their two coordinates, by their names; in_axes: the loads in further axes, if
+    linear elements (`linear_validity`); points: `PointPath` of the points that are followed, at rest, couplings
+    (positions, 2): loads [N m, N] along their two coordinates, by their names; in_axes: the loads in further `axes`, if
     these were asked for; shaking: what the mechanism exerts on its base, where it has a `shaking_point`; slides:
     whether the driven coordinate is a displacement.
     """
@@ -60,11 +62,17 @@ class Turn(eqx.Module):
     status: Int[Array, "*positions"]
     contacts: dict[str, ContactState] = eqx.field(default_factory=dict)
     linear_error: Float[Array, "*positions"] | None = None
-    places: dict[str, Float[Array, "*positions 3"]] = eqx.field(default_factory=dict)
+    points: dict[str, PointPath] = eqx.field(default_factory=dict)
     in_axes: dict[str, Load] = eqx.field(default_factory=dict)
     couplings: dict[str, Float[Array, "*positions 2"]] = eqx.field(default_factory=dict)
     shaking: ShakingLoad | None = None
     slides: bool = eqx.field(static=True, default=False)
+    axes: str = eqx.field(static=True, default="joint")
+
+    @property
+    def places(self) -> dict[str, Float[Numbers, "*positions 3"]]:
+        """Places [m] of the points that are followed, by their names."""
+        return {name: one.position for name, one in self.points.items()}
 
     def to_xarray(self) -> Dataset:
         """An `xarray.Dataset` of loads, places and what holds, with units and long names."""
@@ -179,9 +187,10 @@ def held_at(model: Model, errors: AssemblyErrors, pose: ClosedPose, stresses: bo
         status=status,
         contacts=contact_states(actual, still.motion),
         linear_error=linear_error(linear_range(actual, position)),
-        places={name: one.position for name, one in points.items()},
+        points={name: PointPath.of(one, topology.plane) for name, one in points.items()},
         in_axes=turned,
         couplings={name: mesh.loads for name, mesh in meshes.items()},
         shaking=None if model.shaking_point is None else shaking_at_rest(model, actual, still),
         slides=bool(topology.slides[k]),
+        axes=axes,
     )

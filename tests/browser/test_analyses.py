@@ -27,6 +27,7 @@ TURN = {
                 "place": {
                     "P": {"x": [0.01 * size * k for k in range(4)], "y": [0.0] * 4, "z": [0.02, None, 0.02, 0.02]},
                 },
+                "angles": {"P": {axis: [0.1 * size, None, 0.3, 0.4] for axis in "xyz"}},
                 "shaking_force": {axis: [size, 2.0, 3.0, 4.0] for axis in "xyz"},
             },
             "shaking": {"max_force": 20.0, "max_force_at": 1.0, "max_moment": 0.0, "max_moment_at": 0.5},
@@ -149,7 +150,7 @@ def test_the_turn_opens_with_the_joint_whose_moment_is_largest(page):
 
 def test_the_turn_shows_where_points_go_and_what_the_base_feels(page):
     page.tab("Turn")
-    for quantity, unit, lines in (("shaking_force x", "N", 2), ("place P z", "mm", 4)):
+    for quantity, unit, lines in (("shaking_force x", "N", 2), ("place P z", "mm", 4), ("angles P y", "deg", 4)):
         page.choose("#turn-quantity", quantity)
         assert unit in page.text("#turn-curves svg") and len(ends(page, "#turn-curves polyline")) == lines
     # A path with a gap where a position was not assembled, seen along the axis along which it stays.

@@ -1,5 +1,6 @@
 """The kinetostatic turn: closed forms of an arm, the derivative of the energy, and the assembly at one angle."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -62,9 +63,9 @@ def test_a_turn_is_the_assembly_at_its_angles_and_its_moment_the_derivative_of_t
 def test_a_turn_has_labelled_data():
     length, point = 0.3, (0.05, 0.0, 0.0)
     model = discretise(arm(angle=0.2, points=["arm.end"], shaking_point=point))
-    turn = kinetostatic_turn(model, positions=np.array([0.2, 1.0]))
+    turn = kinetostatic_turn(model, positions=np.array([0.2, 1.6, 3.0, 4.6]), axes="global")
     data, table = turn.to_xarray(), turn.to_pandas()
-    place = length * np.stack([np.cos(turn.position), [0.0, 0.0], -np.sin(turn.position)], axis=1)
+    place = length * np.stack([np.cos(turn.position), 0.0 * turn.position, -np.sin(turn.position)], axis=1)
     np.testing.assert_allclose(data["place_arm.end"].values[0], place, atol=1e-12)
     weight = 7850.0 * 1e-4 * length * 9.81
     np.testing.assert_allclose(data.shaking_force.sel(component="z").values[0], -weight, rtol=1e-9)
@@ -75,6 +76,19 @@ def test_a_turn_has_labelled_data():
     np.testing.assert_allclose(table["shaking_moment_y_Nm"], moment, atol=1e-12)
     np.testing.assert_allclose(table["arm.end_x_m"], place[:, 0], atol=1e-12)
     np.testing.assert_allclose(data.force.sel(joint="A").values[0], turn.loads["A"].force)
+    np.testing.assert_allclose(data.force_global.sel(joint="A").values[0], [[0.0, 0.0, weight]] * 4, atol=1e-9)
+    np.testing.assert_allclose(table["A_force_global_z_N"], weight, rtol=1e-9)
+    # The arm's angle about y is that of its drive, also beyond half a revolution.
+    np.testing.assert_allclose(data["angles_arm.end"].values[0], np.outer(turn.position, [0, 1, 0]), atol=1e-12)
+    np.testing.assert_allclose(table["arm.end_angle_y_rad"], turn.position, atol=1e-12)
+    # A position that was not assembled has no angle, and those after it have theirs.
+    nowhere = jnp.where(jnp.arange(4) == 2, jnp.nan, 1.0)
+    broken = eqx.tree_at(
+        lambda t: (t.status, t.points["arm.end"].rotation), turn,
+        (turn.status.at[2].set(1), turn.points["arm.end"].rotation * nowhere[:, None, None]),
+    )  # fmt: skip
+    left = broken.to_xarray()["angles_arm.end"].values[0, :, 1]
+    np.testing.assert_allclose(left, turn.position * nowhere, atol=1e-12)
     assert "on the base" in str(turn) and "The drive holds with" in str(turn) and "<table" in turn._repr_html_()
 
 

@@ -24,7 +24,7 @@ from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.planar_loops import model_reactions_text
 from rfem_jax.report.analyses.analysis import errors_of_cases, write_analysis
 from rfem_jax.report.annotations import Figure
-from rfem_jax.report.files import axes_columns, contact_columns, coupling_load_columns
+from rfem_jax.report.files import contact_columns, coupling_load_columns
 from rfem_jax.report.output import write_csv
 from rfem_jax.report.pictures import drawn, write_pictures
 from rfem_jax.report.style import add_titles, line_style, new_figure
@@ -114,6 +114,7 @@ def _curves(study: Study, turn: Turn, c: int) -> dict[str, Any]:
         "force": sizes("force"), "moment": sizes("moment"),
         "stress": {name: (np.abs(values[c]) * good).tolist() for name, values in turn.stress.items()},
         "place": {name: components(places) for name, places in turn.places.items()},
+        "angles": {name: components(values) for name, values in labelled(study, turn).angles.items()},
     }  # fmt: skip
     if turn.shaking is not None:
         found |= {f"{RECORD}_{load}": components(getattr(turn.shaking, load)) for load in ("force", "moment")}
@@ -143,7 +144,7 @@ def _linear_error(turn: Turn, case: int) -> float:
     return float(np.max(errors, initial=0.0))
 
 
-def write_turn(folder: Path, study: Study, model: Model, turn: Turn, axes: str = "joint") -> list[Path]:
+def write_turn(folder: Path, study: Study, model: Model, turn: Turn) -> list[Path]:
     """Write turn.json (largest loads, resultants and places over the positions) and turn.csv (all positions), both with
     the contacts of joints with clearance; in turn.csv loads of couplings, too."""
     found, (unit, force) = labelled(study, turn), ("m", "N") if turn.slides else ("rad", "N m")
@@ -155,10 +156,8 @@ def write_turn(folder: Path, study: Study, model: Model, turn: Turn, axes: str =
             cases[case.name]["contacts"] = _contacts(turn, c)
         states = jax.tree.map(lambda values, c=c: values[c], turn.contacts)
         columns = contact_columns(states)
-        loads = jax.tree.map(lambda values, c=c: values[c], turn.in_axes)
         for coupling in study.mechanism.couplings:
             columns |= coupling_load_columns(coupling, np.asarray(turn.couplings[coupling.name][c]))
-        columns |= axes_columns(study, loads, axes) if loads else {}
         for i in range(turn.position.shape[1]):
             carry = {
                 f"{name}_carrying": "+".join(carrying(one.penetration[i])) or "none" for name, one in states.items()

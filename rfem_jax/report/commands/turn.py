@@ -53,7 +53,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     folder = open_folder(arguments.out)
     show(report.turn_text(study, model, turn), end="\n\n")
     with writing_into(folder):
-        written = report.write_turn(folder, study, model, turn, arguments.axes)
+        written = report.write_turn(folder, study, model, turn)
         written += report.draw_turn(folder, study, model, turn)
     return finish(folder, written, set(report.labelled(study, turn).statuses()) == {"ok"}, started)
 

@@ -22,9 +22,11 @@ function turnQuantities(cases) {
         if (curve[key] && finiteList(curve[key][axis])) found.set(`${key} ${axis}`, { label: `${words}, ${axis}`, unit: unitName, of: (c) => ((c.curves || {})[key] || {})[axis] });
       }
     }
-    for (const [name, place] of asEntries(curve.place)) {
-      for (const axis of ["x", "y", "z"]) {
-        if (place && finiteList(place[axis])) found.set(`place ${name} ${axis}`, { label: `${axis} of ${name}`, unit: "mm", of: (c) => turnPlace(c, name, axis) });
+    for (const [key, words, unitName] of [["place", "Place", "mm"], ["angles", "Angle", "deg"]]) {
+      for (const [name, vectors] of asEntries(curve[key])) {
+        for (const axis of ["x", "y", "z"]) {
+          if (vectors && finiteList(vectors[axis])) found.set(`${key} ${name} ${axis}`, { label: `${words} of ${name}, ${axis}`, unit: unitName, of: (c) => turnPoint(c, key, name, axis) });
+        }
       }
     }
     if (finiteList(curve.holding)) found.set("holding", { label: "What the drive holds with", unit: "", of: (c) => (c.curves || {}).holding });
@@ -32,10 +34,10 @@ function turnQuantities(cases) {
   return found;
 }
 
-// A coordinate of a point at all positions, in mm.
-function turnPlace(one, name, axis) {
-  const place = ((one.curves || {}).place || {})[name];
-  return place && finiteList(place[axis]) ? place[axis].map((value) => (value === null ? null : value * 1000)) : null;
+// A coordinate of a point at all positions, in mm, or an angle of its link there, in deg.
+function turnPoint(one, key, name, axis) {
+  const vectors = ((one.curves || {})[key] || {})[name], scale = key === "place" ? 1000 : 180 / Math.PI;
+  return vectors && finiteList(vectors[axis]) ? vectors[axis].map((value) => (value === null ? null : value * scale)) : null;
 }
 
 // Where points go while the drive takes its positions, seen along the axis across which they move least.
@@ -44,7 +46,7 @@ function turnPaths(cases) {
   if (!names.length) return null;
   const holder = make("div", { id: "turn-path" });
   const show = (name) => {
-    const found = cases.map(([of, one], index) => ({ name: of, index, x: turnPlace(one, name, "x"), y: turnPlace(one, name, "y"), z: turnPlace(one, name, "z") }))
+    const found = cases.map(([of, one], index) => ({ name: of, index, x: turnPoint(one, "place", name, "x"), y: turnPoint(one, "place", name, "y"), z: turnPoint(one, "place", name, "z") }))
       .filter((one) => one.x && one.y && one.z);
     const ranges = ["x", "y", "z"].map((axis) => finiteRange(found.flatMap((one) => one[axis]).filter((value) => value !== null)));
     const spread = ranges.map(([low, high]) => high - low);
