@@ -6,6 +6,7 @@ Place in the pipeline: simulation, mechanics, description -> **validation** -> r
     lines                 one checked value: ours, the reference, what is allowed, its source
     four_bar_study        the main study, linear and geometrically exact
     cantilevers           statics and frequencies, elastica, Princeton beam, thick cantilever
+    beam_tables           beams under loads along them, of a handbook's table
     rotating_beams        spin-up and slewing beam; rotating_beam_theory, an independent value
     tilted_hinge          the flexible four-bar with a crooked pin
     spinning_bodies       tumbling body, heavy tops; rigid_body_theory, independent values

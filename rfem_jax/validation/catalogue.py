@@ -9,6 +9,7 @@ from rfem_jax.description.basics.errors import InputError, suggestion
 from rfem_jax.validation import (
     acting_forces,
     andrews_squeezer,
+    beam_tables,
     bennett_loop,
     cantilevers,
     clearances,
@@ -31,6 +32,7 @@ from rfem_jax.validation.lines import Benchmark, Outcome, Progress
 
 BENCHMARKS = (
     Benchmark("cantilever", "cantilever, statics and frequencies", cantilevers.validate),
+    Benchmark("beam_tables", "beams of a handbook's table", beam_tables.validate),
     Benchmark("elastica", "elastica", large_deflections.elastica),
     Benchmark("princeton_beam", "Princeton beam", large_deflections.princeton_beam),
     Benchmark("thick_cantilever", "thick cantilever", large_deflections.thick_cantilever),

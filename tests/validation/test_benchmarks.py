@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from rfem_jax import assemble, assembly_errors, discretise
-from rfem_jax.validation import cantilevers, four_bar_study, large_deflections, rotating_beams, tilted_hinge
+from rfem_jax.validation import (
+    beam_tables,
+    cantilevers,
+    four_bar_study,
+    large_deflections,
+    rotating_beams,
+    tilted_hinge,
+)
 from rfem_jax.validation.lines import NOT_MET, PASS
 from rfem_jax.validation.reference_values import read_reference
 
@@ -23,6 +30,11 @@ def assert_all_pass(lines, count):
 
 def test_elastica():
     assert_all_pass(computed(large_deflections.elastica), 15)
+
+
+def test_beams_of_a_handbook():
+    """Loads borne and deflections to the last digit that is printed."""
+    assert_all_pass(computed(beam_tables.validate), 16)
 
 
 def test_thick_cantilever():
