@@ -10,6 +10,7 @@ Every study takes a `problem(errors) -> (values, status)`: the simulator (`Probl
     designs         sweeps over ranges of the errors, response surfaces
     rare_failures   probabilities of limits broken, by FORM, importance sampling and subset simulation
     identification  from measurements to errors, and what measurements can tell
+    refinement      how many rigid finite elements an accuracy takes
     worst_cases     the largest value within the tolerances
     robust_design   the best dimensions and tolerances that keep limits; the cheapest tolerances alone
 
@@ -32,6 +33,7 @@ _names = {
     "problems.simulated_problem": "Problem",
     "problems.static_problem": "StaticProblem",
     "rare_failures.failure_study": "reliability",
+    "refinement": "mesh_convergence",
     "robust_design.allocation": "allocate",
     "robust_design.cost_models": "Exponential Reciprocal ReciprocalSquared",
     "robust_design.front": "pareto_front",

@@ -18,7 +18,11 @@ DOCUMENTS = [ROOT / "README.md", ROOT / "docs" / "first_steps.md", *sorted((ROOT
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", flags=re.DOTALL | re.MULTILINE)
 INDENTED = re.compile(r"(?<=\n\n)(?: {4}\S.*\n)+", flags=re.MULTILINE)
 SET_UP = re.compile(r"(python3?|\.) -m (venv|pip|pytest)\b.*|\. \.venv/bin/activate")
-ELSEWHERE = {("run", "studies/four_bar/study.toml"), ("validate", "--out")} | {
+ELSEWHERE = {
+    ("run", "studies/four_bar/study.toml"),
+    ("check", "studies/four_bar/study.toml"),
+    ("validate", "--out"),
+} | {
     (command, f"studies/{folder}/{file}") for folder, entries in COMMANDS.items() for file, command in entries
 }  # tests/programs/test_study_files.py runs these
 SMALLER = (

@@ -4,13 +4,14 @@ Place in the pipeline: building, nominal_geometry -> **discretisation** -> every
 """
 
 import dataclasses
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from rfem_jax.description.basics.errors import InputError, require_choice
+from rfem_jax.description.basics.errors import InputError, require_choice, suggestion
 from rfem_jax.description.basics.numbers import is_known
 from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.description.mechanism.mechanism import AS_GIVEN, ELEMENTS, EQUILIBRIUM, PLANAR, Mechanism
@@ -83,11 +84,11 @@ class Structure(NamedTuple):
     reactions: str = ""
 
 
-def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | None = None) -> Model:
+def discretise(mechanism: Mechanism, rfes: int | Mapping[str, int] | None = None, elements: str | None = None) -> Model:
     """Divide the links into rigid finite elements and close the loops at the start.
 
-    **Arguments:** `mechanism`: a `Mechanism`; `rfes`: number of rfes of every flexible link (None:
-    each link's own); `elements`: "linear" or "geometrically_exact" spring-damping elements (None:
+    **Arguments:** `mechanism`: a `Mechanism`; `rfes`: number of rfes of every flexible link, or {name: number} of
+    some (None: each link's own); `elements`: "linear" or "geometrically_exact" spring-damping elements (None:
     the mechanism's).
 
     **Raises:** `InputError` if JAX is not in double precision, if the loops cannot be closed with
@@ -95,11 +96,9 @@ def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | No
     not ask for the minimum-norm ones.
     """
     require_float64()
-    if rfes is not None and (rfes != int(rfes) or rfes < 2):
-        raise InputError(f"Argument `rfes` must be a whole number of at least 2, but is {rfes}.")
     elements = mechanism.elements if elements is None else elements
     require_choice(elements, ELEMENTS, "elements")
-    counts = {link.name: link.elements if rfes is None or link.elements == 1 else int(rfes) for link in mechanism.links}
+    counts = _numbers_of_rfes(mechanism, rfes)
     built = build_model(mechanism, counts, elements == "geometrically_exact")
     modes = {one.name: one.mode for one in mechanism.cut_joints if one.mode}
     model = _closed_as_given(_close(built, modes, _about_warmth(mechanism)), np.asarray(built.start_joints))
@@ -133,6 +132,23 @@ def discretise(mechanism: Mechanism, rfes: int | None = None, elements: str | No
             "flexible."
         )
     return _remembering(model, structure)
+
+
+def _numbers_of_rfes(mechanism: Mechanism, rfes: int | Mapping[str, int] | None) -> dict[str, int]:
+    """Numbers of rfes of all links by name, with those that take the place of flexible links' own ones."""
+    own = {link.name: link.elements for link in mechanism.links}
+    flexible = [name for name, count in own.items() if count > 1]
+    if rfes is None:
+        return own
+    given = rfes if isinstance(rfes, Mapping) else dict.fromkeys(flexible, rfes)
+    for name, count in given.items():
+        if name not in flexible:
+            raise InputError(
+                f"Argument `rfes` must be of flexible links, but `{name}` is not one; {suggestion(name, flexible)}"
+            )
+        if count != int(count) or count < 2:
+            raise InputError(f"Argument `rfes` must be a whole number of at least 2, but is {count}.")
+    return own | {name: int(count) for name, count in given.items()}
 
 
 def _with_idle(model: Model) -> Model:

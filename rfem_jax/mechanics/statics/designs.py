@@ -159,13 +159,13 @@ def designed(model: Model, design: Design | None, errors: AssemblyErrors | None 
     return Designed(_with_leaves(base, plan.changes, changed), left, status, gap)
 
 
-def model_of_study(study: Study, at_rest: bool = False) -> Model:
+def model_of_study(study: Study, at_rest: bool = False, rfes: Mapping[str, int] | None = None) -> Model:
     """The model of a study's mechanism with the values of its design, from which parameters deviate; `at_rest`: of
-    the mechanism as its table [statics] holds it.
+    the mechanism as its table [statics] holds it; `rfes`: as of `discretise`.
 
     **Raises:** `InputError` as `discretise`, and for a design that cannot be.
     """
-    model = discretise(study.mechanism_at_rest if at_rest else study.mechanism)
+    model = discretise(study.mechanism_at_rest if at_rest else study.mechanism, rfes)
     values = {name: value for name, value in study.design_values.items() if not name.startswith("drive.")}
     if not values:
         return model

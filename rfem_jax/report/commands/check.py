@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rfem_jax.report.annotations import Model, Study
-from rfem_jax.report.commands.command import Answer, Command, add_cache, add_study
+from rfem_jax.report.commands.command import CASE_FAILED, DONE, Answer, Command, add_cache, add_study
 from rfem_jax.report.commands.folders import open_folder, require_folder, writing_into
 from rfem_jax.report.commands.steps import announce, discretise_study, read_study, settle_method
 from rfem_jax.report.progress_line import show
@@ -42,21 +42,39 @@ def command() -> Command:
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
     add_study(parser)
     parser.add_argument("--picture", metavar="FILE.png", help="draw the mechanism at its start, without a run")
+    parser.add_argument(
+        "--converge", metavar="ACCURACY", nargs="?", const="1 %",
+        help="simulate the cases with half and twice as many rfes, too: how far the loads are off, and how many rfes "
+        'an accuracy takes (default: "1 %%")',
+    )  # fmt: skip
     add_cache(parser)
 
 
 def act(arguments: argparse.Namespace) -> Answer:
-    """Read, describe, look for the largest stable step. Raises InputError."""
+    """Read, describe, look for the largest stable step, compare numbers of rfes if asked to. Raises InputError."""
     picture = None if arguments.picture is None else _picture_file(arguments.picture)
+    accuracy = None if arguments.converge is None else _accuracy(arguments.converge)
     study = read_study(arguments.study)
+    model = discretise_study(study)
+    document = _describe(study, model, picture)
+    study, document = _look_at_motion(study, model, document)
+    if accuracy is None:
+        return Answer(document=document)
 
+    from rfem_jax.report.mesh_report import convergence_document, convergence_text, study_convergence
+
+    found = study_convergence(study, accuracy)
+    show("\n" + convergence_text(found))
+    return Answer(DONE if found.ok else CASE_FAILED, document | {"convergence": convergence_document(found)})
+
+
+def _describe(study: Study, model: Model, picture: Path | None) -> dict[str, Any]:
+    """Show what was understood and what it costs, and draw the start; what of it goes into the document."""
     from rfem_jax.mechanics import describe
     from rfem_jax.report.overview import closed_text, design_text, opening_text, study_text
-    from rfem_jax.report.study_cost import cost_text, times_text
+    from rfem_jax.report.study_cost import cost_text
     from rfem_jax.report.tasks.task_overview import tasks_text
-    from rfem_jax.simulation import check_step, drive_limit
 
-    model = discretise_study(study)
     structure = describe(model)
     show(study_text(study, structure), end="\n\n")
     if text := closed_text(model):
@@ -65,18 +83,24 @@ def act(arguments: argparse.Namespace) -> Answer:
         show(text, end="\n\n")
     if picture is not None:
         _draw_start(study, model, picture)
-    if text := design_text(study):
-        show(text, end="\n\n")
-    if text := tasks_text(study):
-        show(text, end="\n\n")
-    show(cost_text(study), end="\n\n")
-    step = None
+    for text in (design_text(study), tasks_text(study), cost_text(study)):
+        if text:
+            show(text, end="\n\n")
+    return _document(study, structure)
+
+
+def _look_at_motion(study: Study, model: Model, document: dict[str, Any]) -> tuple[Study, dict[str, Any]]:
+    """Show the largest stable step, the time that the cases take, and where the drive's motion ends; the study with the
+    method that "auto" stands for, and the document with these."""
+    from rfem_jax.report.study_cost import times_text
+    from rfem_jax.simulation import check_step, drive_limit
+
     if model.topology.massless:
         names = ", ".join(model.link_names[l] for l in model.topology.massless)
         show(f"Links without mass ({names}): only positions at rest can be computed, as by `rfem-jax turn`.")
-        return Answer(document=_document(study, structure, step, None))
+        return study, document
     if study.duration is None:
-        return Answer(document=_document(study, structure, step, None))
+        return study, document
     if study.method.name == "auto":
         study = settle_method(study)
     else:
@@ -85,12 +109,32 @@ def act(arguments: argparse.Namespace) -> Answer:
         found = "any, chosen by the method, or not known" if step is None else f"{float(step):.3g} s"
         found = found if step is None or float(step) < study.duration else "longer than the simulation"
         show(f"Largest stable step of {study.method.name}: {found}.")
+        document["largest_stable_step"] = None if step is None else float(step)
+    document["method"] = study.method.as_table()
     if text := times_text(study):
         show(text)
     limit = drive_limit(model, study.designed_drive, study.duration)
     if limit is not None:
         show(f"The drive prescribes what the loops do not let it: they stop closing {limit.text}; a run is lost there.")
-    return Answer(document=_document(study, structure, step, limit))
+        document["drive_limit"] = {"time": limit.time, "of": limit.label, "position": limit.position}
+    return study, document
+
+
+def _accuracy(text: str) -> float:
+    """A share, of a number or a percentage. Raises InputError."""
+    number, percent, rest = text.partition("%")
+    try:
+        value = float(number) * (0.01 if percent else 1.0)
+    except ValueError:
+        value = 0.0
+    if rest.strip() or not 0.0 < value < 1.0:
+        from rfem_jax.description.basics.errors import InputError
+
+        raise InputError(
+            f'Argument `--converge` must be an accuracy between 0 and 1, but was {text!r}; write for example "1 %" or '
+            "0.01."
+        )
+    return value
 
 
 def _picture_file(path: str) -> Path:
@@ -120,8 +164,7 @@ def _draw_start(study: Study, model: Model, file: Path) -> None:
             show(f"The start is drawn in {written}.", end="\n\n")
 
 
-def _document(study: Study, structure: Any, step: float | None, limit: Any) -> dict[str, Any]:
-
+def _document(study: Study, structure: Any) -> dict[str, Any]:
     mechanism = study.mechanism
     joints = [
         {"name": one.name, "kind": one.kind, "parent": one.parent, "child": one.child, "cut": one.cut}
@@ -136,8 +179,8 @@ def _document(study: Study, structure: Any, step: float | None, limit: Any) -> d
         "start": structure.start._asdict(),
         "duration": study.duration,
         "method": study.method.as_table(),
-        "largest_stable_step": None if step is None else float(step),
-        "drive_limit": None if limit is None else {"time": limit.time, "of": limit.label, "position": limit.position},
+        "largest_stable_step": None,
+        "drive_limit": None,
         "design": study.design,
         "cases": {case.name: {error: float(value) for error, value in case.errors.items()} for case in study.cases},
         "tasks": list(study.tasks.declared),
