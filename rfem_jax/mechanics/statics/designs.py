@@ -33,6 +33,7 @@ from rfem_jax.description.mechanism.sections import Tube
 from rfem_jax.description.parameters.parameters import Parameter, require_each_once
 from rfem_jax.description.parameters.parts import Parts
 from rfem_jax.description.study_file.study import Study
+from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.model.building import PartStructure, arrays_of
 from rfem_jax.mechanics.model.discretisation import discretise
 from rfem_jax.mechanics.model.errors import AssemblyErrors, assembly_errors, require_errors_of, require_possible
@@ -293,9 +294,22 @@ def _designed_arrays(
     base: Model, source: Source, values: dict[str, Array], deviations: dict[str, Array], plan: Plan
 ) -> tuple[list[Array], Int[Array, ""], Float[Array, ""]]:
     """The leaves that change, status and gap [m]."""
-    blueprint = source.blueprint
+    return kernel(partial(_arrays_of_design, source.blueprint, plan), name="design")(
+        base, source.numbers, values, deviations
+    )
+
+
+def _arrays_of_design(
+    blueprint: Blueprint,
+    plan: Plan,
+    base: Model,
+    numbers: Float[Array, " parameters"],
+    values: dict[str, Array],
+    deviations: dict[str, Array],
+) -> tuple[list[Array], Int[Array, ""], Float[Array, ""]]:
+    """As `_designed_arrays`, of the numbers of a source."""
     structure = PartStructure(base.topology, blueprint.points, plan.products)
-    nominal = [source.numbers[i] for i in range(len(blueprint.names))]
+    nominal = [numbers[i] for i in range(len(blueprint.names))]
     named = list(zip(blueprint.names.all, nominal, strict=True))
     wanted = [values.get(one.full, number) for one, number in named]
     actual = [x + deviations[one.full] if one.full in deviations else x for (one, _), x in zip(named, wanted)]
