@@ -28,6 +28,7 @@ from rfem_jax.compilation.program import Program
 from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.description.metrics.shaking_metrics import RECORD
 from rfem_jax.description.metrics.subjects import divided
+from rfem_jax.kernels import kernel
 from rfem_jax.labelled_data import DataFrame, Dataset
 from rfem_jax.mechanics.dynamics import dynamics, loads
 from rfem_jax.mechanics.dynamics.base_loads import ShakingLoad, shaking_load
@@ -229,7 +230,8 @@ def static_loads_at(
     made = designed(model, design, errors)
     poses = start_pose(made.model) if poses is None else poses
     actual = apply_errors(made.model, made.errors)
-    found = jax.lax.map(lambda pose: _at_pose(made.model, actual, pose, asked), poses)
+    at_pose = kernel(partial(_at_pose, asked=asked), name="loads at rest", in_parts=True)
+    found = jax.lax.map(lambda pose: at_pose(made.model, actual, pose), poses)
     paths = {} if perfect is None else _perfect_paths(perfect, poses, asked)
     return _named_results(made.model, actual, found, asked, paths, status_of(found.status, made))
 

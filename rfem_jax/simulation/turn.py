@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, Int
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.basics.errors import InputError, require_choice
 from rfem_jax.description.basics.precision import require_float64
+from rfem_jax.kernels import kernel
 from rfem_jax.labelled_data import DataFrame, Dataset
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.dynamics.base_loads import ShakingLoad
@@ -159,7 +160,8 @@ def kinetostatic_turn(
 def turn_over(model: Model, errors: AssemblyErrors, poses: ClosedPose, axes: str = "joint") -> Turn:
     """The turn over closed poses; `axes`: as of `kinetostatic_turn`."""
     made = designed(model, None, errors)
-    turn = jax.lax.map(lambda pose: held_at(made.model, made.errors, pose, axes=axes), poses)
+    at_pose = kernel(partial(held_at, axes=axes), name="held still", in_parts=True)
+    turn = jax.lax.map(lambda pose: at_pose(made.model, made.errors, pose), poses)
     return eqx.tree_at(lambda t: t.status, turn, status_of(turn.status, made))
 
 
