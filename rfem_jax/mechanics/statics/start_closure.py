@@ -23,6 +23,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
+from rfem_jax.mechanics.algebra.derivative_rules import implicit_function
 from rfem_jax.mechanics.algebra.vectors import pseudo_inverse, solve_equations
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.kinematics.cut_joints import Closure, closure
@@ -57,26 +58,28 @@ def close_start(nominal: Model, made: Model) -> ClosedStart:
     scale = length_scale(nominal)
     units = jnp.where(np.array(nominal.topology.slides, dtype=bool)[free], scale, 1.0)
 
-    def closed(z: Float[Array, " free"], model: Model) -> tuple[Coordinates, Closure]:
+    def closed(z: Float[Array, " free"], model: Model, units: Float[Array, " free"]) -> tuple[Coordinates, Closure]:
         change = Coordinates((z * units) @ onto, jnp.zeros((6, model.topology.n_rfes)))
         position = moved(model.topology, model.start_coordinates(), change)
         return position, _closure_at(model, position)
 
     def residual(z: Float[Array, " free"], model: Model) -> Float[Array, " constraints"]:
-        return closed(z, model)[1].residual / scale
+        return closed(z, model, units)[1].residual / scale
 
     # The search is not differentiated: its derivatives are those of the implicit function, taken at its result.
     one, other = jax.lax.stop_gradient((nominal, made))
     found, matrix, kept = _follow(residual, len(free), one, other)
 
-    def equations(z):
-        return matrix.T @ residual(z, made) + kept @ z
+    def equations(z, inputs):
+        model, units, scale, matrix, kept = inputs
+        return matrix.T @ closed(z, model, units)[1].residual / scale + kept @ z
 
-    def solve(linear, value):
+    def solve(linear, value, inputs, z):
+        del inputs, z
         return solve_equations(jax.vmap(linear, out_axes=1)(jnp.eye(value.shape[0])), value)
 
-    z = jax.lax.custom_root(equations, found, lambda _, start: start, solve)
-    position, now = closed(z, made)
+    z = implicit_function(equations, solve, found, (made, units, scale, matrix, kept))
+    position, now = closed(z, made, units)
     return ClosedStart(position.joints, now.angle, jnp.max(jnp.abs(now.residual)))
 
 
