@@ -21,6 +21,7 @@ from rfem_jax.lazy_names import lazy_names
 _names = {
     "designs.response_surface": "fit_response_surface",
     "designs.sweep_study": "sweep",
+    "identification.correction": "correct",
     "identification.identification_study": "identifiability identify",
     "problems.capability": "process_capability",
     "problems.distributions": "Normal ProcessNormal Triangular TruncatedNormal Uniform",

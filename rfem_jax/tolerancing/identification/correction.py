@@ -1,0 +1,275 @@
+"""The adjustment that a fitter should make: what reduces a metric most, given what is known of a machine's errors.
+
+Place in the pipeline: posterior of an identification, problem -> **correction** -> Correction.
+
+    minimise  sum_j w_j M(x_j + E u)   over the amounts u in their bounds                                (17.15)
+
+for every adjustment alone and for all together, from the samples x_j of the posterior with their weights w_j. The
+searches see `points` samples that represent them; what is told of the amounts found comes from all samples.
+
+Symbols: N samples, k unknowns, e (k + those adjusted besides) names, a adjustments, m metrics; u (a,) [rad, m];
+v (a,) = 2 (u - low) / (high - low) - 1.
+Source: theory (17.15), (17.16); A. Shapiro, D. Dentcheva, A. Ruszczynski, Lectures on Stochastic Programming, 2nd ed.
+(2014), 5 (sample average approximation).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.basics.precision import require_float64
+from rfem_jax.description.tasks.settings import fraction, whole_number
+from rfem_jax.simulation.specification import Simulation
+from rfem_jax.tolerancing.checks import ErrorValues, check_known, read_limits
+from rfem_jax.tolerancing.designs.sweep_study import Bounds, read_bounds
+from rfem_jax.tolerancing.identification.correction_result import AS_IT_IS, TOGETHER, Correction, Outcome
+from rfem_jax.tolerancing.identification.identification_result import Identification
+from rfem_jax.tolerancing.identification.posterior import Sampled
+from rfem_jax.tolerancing.optimisation.projected_gradient import climb_together
+from rfem_jax.tolerancing.optimisation.starting_points import projection
+from rfem_jax.tolerancing.problems.evaluation import evaluate_points, metric_index, read_point
+from rfem_jax.tolerancing.problems.linearisation import linearise_points
+from rfem_jax.tolerancing.problems.problem import Metric, ToleranceProblem
+from rfem_jax.tolerancing.problems.sample_values import Base
+from rfem_jax.tolerancing.problems.simulated_problem import Problem
+
+STATIONARY = 1e-3  # of the scaled slope at which a search ends
+SMALLEST_GAIN = 1e-3  # of the metric
+MOST_FAILURES = 0.01  # probability that the machine does not work, above which no promise is made
+
+
+def correct(
+    problem: ToleranceProblem | Simulation,
+    found: Identification,
+    metric: str | Metric,
+    adjustments: Bounds,
+    *,
+    limits: Mapping[str, Any] | None = None,
+    at: ErrorValues | None = None,
+    quantile: float = 0.95,
+    points: int = 16,
+    evaluations: int = 40,
+) -> Correction:
+    """Find the adjustment that reduces a metric of a measured machine most, and what the metric is after it.
+
+    Args:
+        problem: a `Simulation` or `Problem` (whose metrics do not matter), of the motion that counts, which may be
+            another than was measured; or another problem that has the metrics.
+        found: of `identify`.
+        metric: what is to be less: a name, or a `Metric`.
+        adjustments: {error or parameter: (least, largest change)} in rad or m, or strings with a unit: shims, turns;
+            0, no change, lies within.
+        limits: {metric: largest value, or (low, high)}, whose probabilities to be broken are told.
+        at: {error: value} of errors that are known, as of `identify`.
+        quantile: the metric is below `reached` with this probability.
+        points: samples of the posterior that the searches see.
+        evaluations: the most of them, with derivatives, in a search.
+    Returns: the result, whose status says what is in doubt.
+    Raises: InputError for an identification without a posterior, unknown names and bad numbers.
+    """
+    require_float64()
+    level = fraction(quantile, "quantile")
+    for what, number in (("points", points), ("evaluations", evaluations)):
+        whole_number(number, what, 1)
+    if not len(found.weights):
+        raise InputError(
+            f"Argument `found` must have a posterior, but its status is {found.status}: {found.message}; correct that "
+            "first."
+        )
+    machine = _read(problem, found, metric, adjustments, limits, at)
+    nothing = np.zeros(len(machine.adjustments))
+    before = machine.evaluate(nothing)
+    ends, works = [(AS_IT_IS, nothing, True)], np.isfinite(before[:, machine.index])
+    if works.any():
+        seen = _representatives(before[:, machine.index], found.weights, points)
+        ends += _search(machine, found, seen, evaluations)
+    outcomes = tuple(_outcome(machine, found, before, end, level) for end in ends)
+    return Correction(
+        metric=machine.problem.metrics[machine.index].name, unit=machine.problem.metrics[machine.index].unit,
+        adjustments=machine.adjustments, error_units=tuple(map(machine.problem.error_unit, machine.adjustments)),
+        bounds=machine.bounds, names=found.names, outcomes=outcomes, weights=found.weights,
+        confidence=found.confidence, quantile=level, status=_status(found, outcomes),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Machine:
+    """Metrics of the problem at changed samples of the posterior: names (e), samples x (N, e), the errors `base` held
+    fixed, index of the metric, limits {metric: (low, high)}; reach (a,): where the adjusted ones are among the names;
+    bounds (a, 2) of their amounts."""
+
+    problem: ToleranceProblem
+    names: tuple[str, ...]
+    x: Float[np.ndarray, "N e"]
+    base: Base
+    index: int
+    limits: dict[str, tuple[float, float]]
+    adjustments: tuple[str, ...]
+    reach: Int[np.ndarray, " a"]
+    bounds: Float[np.ndarray, "a 2"]
+
+    def changed(self, amounts: Float[np.ndarray, "p a"], rows: Any = slice(None)) -> Float[np.ndarray, "p n e"]:
+        """Errors of the samples `rows` after each of p adjustments."""
+        moved = np.repeat(self.x[None, rows], len(amounts), axis=0)
+        moved[:, :, self.reach] += amounts[:, None]
+        return moved
+
+    def evaluate(self, amounts: Float[np.ndarray, " a"]) -> Float[np.ndarray, "N m"]:
+        """All metrics after an adjustment, NaN where a run failed."""
+        return evaluate_points(self.problem, self.names, self.base, self.changed(amounts[None])[0])[0]
+
+    def means(self, amounts: Float[np.ndarray, "p a"], rows: Int[np.ndarray, " n"]) -> Float[np.ndarray, " p"]:
+        """Mean of the metric over the samples `rows` after each of p adjustments, NaN where a run failed."""
+        moved = self.changed(amounts, rows).reshape(-1, len(self.names))
+        values = evaluate_points(self.problem, self.names, self.base, moved)[0][:, self.index]
+        return values.reshape(len(amounts), -1).mean(axis=1)
+
+    def slopes(
+        self, amounts: Float[np.ndarray, "p a"], rows: Int[np.ndarray, " n"]
+    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "p a"]]:
+        """As `means`, with their derivatives by the amounts."""
+        moved = self.changed(amounts, rows).reshape(-1, len(self.names))
+        values, slopes, _ = linearise_points(self.problem, self.names, self.base, moved, metric=self.index)
+        p, a = amounts.shape
+        slopes = slopes[:, self.reach].reshape(p, -1, a)
+        return values[:, self.index].reshape(p, -1).mean(axis=1), slopes.mean(axis=1)
+
+
+def _read(problem, found: Identification, metric, adjustments, limits, at) -> _Machine:
+    """Raises: InputError."""
+    if isinstance(problem, Simulation):
+        problem = Problem(problem, [metric])
+    if isinstance(problem, Problem):
+        known = {one if isinstance(one, str) else one.name: one for one in (*(limits or {}), metric)}
+        problem = problem.with_metrics(known.values())
+    names, ends = read_bounds(problem, adjustments, "adjustments")
+    for name, (low, high) in zip(names, ends, strict=True):
+        if low > 0.0 or high < 0.0:
+            raise InputError(
+                f"Argument `adjustments` must be changes, 0 among them, but `{name}` goes from {low:g} to {high:g}; "
+                "give the least and the largest change from what was measured."
+            )
+    check_known(found.names, problem.error_names, "found")
+    fixed = read_point(problem, at)
+    own = (*found.names, *(name for name in names if name not in found.names))
+    x = np.zeros((len(found.weights), len(own)))
+    x[:, : len(found.names)] = found.sampled
+    for i, name in enumerate(own[len(found.names) :], start=len(found.names)):
+        x[:, i] = fixed.get(name, 0.0)
+    base = {name: jnp.asarray(value, jnp.float64) for name, value in fixed.items() if name not in own}
+    known = [one.name for one in problem.metrics]
+    return _Machine(
+        problem, own, x, base, metric_index(problem, metric), read_limits(limits, known), names,
+        np.array([own.index(name) for name in names]), np.array(ends),
+    )  # fmt: skip
+
+
+def _representatives(
+    values: Float[np.ndarray, " N"], weights: Float[np.ndarray, " N"], n: int
+) -> Int[np.ndarray, " n"]:
+    """Samples that stand for all: one of each of n parts of equal probability, in the order of the metric."""
+    order = np.argsort(values)[: int(np.isfinite(values).sum())]
+    reached = np.cumsum(weights[order])
+    return order[np.searchsorted(reached, (np.arange(n) + 0.5) / n * reached[-1]).clip(max=len(order) - 1)]
+
+
+def _search(
+    machine: _Machine, found: Identification, seen: Int[np.ndarray, " n"], evaluations: int
+) -> list[tuple[str, Float[np.ndarray, " a"], bool]]:
+    """(name, amounts (a,), converged) of every adjustment alone, and of all together where there are several."""
+    a = len(machine.adjustments)
+    starts = _starts(machine, found)
+    alone = _climb(machine, seen, starts[:, None] * np.eye(a), np.eye(a), evaluations)
+    ends = [(name, *end) for name, end in zip(machine.adjustments, alone, strict=True)]
+    if a > 1:
+        further = [*starts, *(amounts for amounts, _ in alone)]
+        ends.append((TOGETHER, *_climb(machine, seen, np.array(further)[:, None], np.ones((1, a)), evaluations)[0]))
+    return ends
+
+
+def _starts(machine: _Machine, found: Identification) -> Float[np.ndarray, "c a"]:
+    """Amounts to begin with: none, what makes errors zero, and half-way to the ends."""
+    mean = dict(zip(found.names, found.weights @ found.sampled / found.weights.sum(), strict=True))
+    undone = np.array([-mean.get(name, 0.0) for name in machine.adjustments])
+    low, high = machine.bounds.T
+    return np.array([np.zeros(len(low)), np.clip(undone, low, high), 0.5 * low, 0.5 * high])
+
+
+def _climb(
+    machine: _Machine,
+    seen: Int[np.ndarray, " n"],
+    starts: Float[np.ndarray, "c p a"],
+    free: Float[np.ndarray, "p a"],
+    evaluations: int,
+) -> list[tuple[Float[np.ndarray, " a"], bool]]:
+    """Minimise the mean over the samples seen, by the adjustments that are `free` (1, else 0) in each of p searches, in
+    one batch, each from the best of c starts; amounts (a,) and whether the search converged."""
+    low, width = machine.bounds[:, 0], 0.5 * np.ptp(machine.bounds, axis=1)
+    c, p, a = starts.shape
+    means = machine.means(starts.reshape(c * p, a), seen).reshape(c, p)
+    spread = np.ptp(means[np.isfinite(means)]) if np.isfinite(means).any() else 0.0
+    scale = spread if spread > 0.0 else 1.0
+    first = np.argmin(np.where(np.isfinite(means), means, np.inf), axis=0)
+    begin = starts[first, np.arange(p)]
+
+    # A search goes on with its own coordinates among others', so that it brings along which of them are free.
+    def function(v):
+        moves, mine = np.asarray(v)[:, :a], np.asarray(v)[:, a:]
+        mean, slope = machine.slopes(low + width * (moves + 1.0), seen)
+        return -mean / scale, np.concatenate([-slope * width / scale * mine, np.zeros_like(slope)], axis=1)
+
+    v = np.concatenate([(begin - low) / width - 1.0, free], axis=1)
+    ends = climb_together(function, projection("box"), v, evaluations=evaluations, tolerance=STATIONARY)
+    amounts = np.where(free > 0.0, low + width * (np.asarray(ends.point)[:, :a] + 1.0), 0.0)
+    return [(u, bool(good)) for u, good in zip(amounts, np.asarray(ends.converged), strict=True)]
+
+
+def _outcome(
+    machine: _Machine, found: Identification, before: Float[np.ndarray, "N m"],
+    end: tuple[str, Float[np.ndarray, " a"], bool], quantile: float,
+) -> Outcome:  # fmt: skip
+    """What all samples say of a machine after an adjustment. A run that fails breaks all limits."""
+    name, amounts, converged = end
+    values = before if name == AS_IT_IS else machine.evaluate(amounts)
+    part, tail = found.weights / found.weights.sum(), 0.5 * (1.0 - found.confidence)
+    metric = values[:, machine.index]
+    works = np.isfinite(metric)
+    low, high, reached, mean, deviation = (np.nan,) * 5
+    if works.any():
+        w, m = part[works] / part[works].sum(), metric[works]
+        mean = float(w @ m)
+        deviation = float(np.sqrt(w @ (m - mean) ** 2))
+        drawn = Sampled(machine.x[works], w, np.nan, np.zeros(len(w), dtype=int))
+        low, high, reached = drawn.quantiles(m, 0, (tail, 1.0 - tail, quantile))
+    known = [one.name for one in machine.problem.metrics]
+    broken = {}
+    for limited, (least, most) in machine.limits.items():
+        limited_values = values[:, known.index(limited)]
+        broken[limited] = float(part @ ~((limited_values >= least) & (limited_values <= most)))
+    errors = machine.changed(amounts[None])[0][:, : len(found.names)]
+    outside = (errors < found.tolerances[:, 0]) | (errors > found.tolerances[:, 1])
+    given = np.isfinite(found.tolerances[:, 0])
+    return Outcome(
+        name=name, amounts=amounts, values=metric, mean=mean, deviation=deviation, low=low, high=high, reached=reached,
+        less=float(part @ (metric < before[:, machine.index])), failed=float(part @ ~works), broken=broken,
+        beyond=np.where(given, part @ outside, np.nan),
+        any_beyond=float(part @ outside.any(axis=1)) if given.any() else np.nan, converged=converged,
+    )  # fmt: skip
+
+
+def _status(found: Identification, outcomes: Sequence[Outcome]) -> str:
+    """See `STATUSES` of the result."""
+    before, after = outcomes[0], outcomes[1:]
+    if not after:
+        return "failed"
+    best = min(after, key=lambda one: one.mean if np.isfinite(one.mean) else np.inf)
+    if found.status not in ("ok", "ambiguous") or not max(before.failed, best.failed) <= MOST_FAILURES:
+        return "doubtful"
+    if not all(one.converged for one in after):
+        return "not_converged"
+    return "ok" if best.mean < before.mean - SMALLEST_GAIN * abs(before.mean) else "no_gain"
