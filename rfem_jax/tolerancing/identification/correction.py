@@ -8,7 +8,7 @@ for every adjustment alone and for all together, from the samples x_j of the pos
 searches see `points` samples that represent them; what is told of the amounts found comes from all samples.
 
 Symbols: N samples, k unknowns, e (k + those adjusted besides) names, a adjustments, m metrics; u (a,) [rad, m];
-v (a,) = 2 (u - low) / (high - low) - 1.
+y (a,) = (u - low) / (high - low).
 Source: theory (17.15), (17.16); A. Shapiro, D. Dentcheva, A. Ruszczynski, Lectures on Stochastic Programming, 2nd ed.
 (2014), 5 (sample average approximation).
 """
@@ -19,7 +19,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.basics.precision import require_float64
@@ -30,15 +30,15 @@ from rfem_jax.tolerancing.designs.sweep_study import Bounds, read_bounds
 from rfem_jax.tolerancing.identification.correction_result import AS_IT_IS, TOGETHER, Correction, Outcome
 from rfem_jax.tolerancing.identification.identification_result import Identification
 from rfem_jax.tolerancing.identification.posterior import Sampled
-from rfem_jax.tolerancing.optimisation.projected_gradient import climb_together
-from rfem_jax.tolerancing.optimisation.starting_points import projection
 from rfem_jax.tolerancing.problems.evaluation import evaluate_points, metric_index, read_point
 from rfem_jax.tolerancing.problems.linearisation import linearise_points
 from rfem_jax.tolerancing.problems.problem import Metric, ToleranceProblem
 from rfem_jax.tolerancing.problems.sample_values import Base
 from rfem_jax.tolerancing.problems.simulated_problem import Problem
+from rfem_jax.tolerancing.robust_design.search import minimise_within
 
-STATIONARY = 1e-3  # of the scaled slope at which a search ends
+STATIONARY = 1e-3  # slope of the mean over its spread, by amounts over their ranges, at which a search ends
+FAILED = 1e3  # that mean where a run failed, which rises from the start on, so that searches turn back
 SMALLEST_GAIN = 1e-3  # of the metric
 MOST_FAILURES = 0.01  # probability that the machine does not work, above which no promise is made
 
@@ -182,13 +182,14 @@ def _search(
     machine: _Machine, found: Identification, seen: Int[np.ndarray, " n"], evaluations: int
 ) -> list[tuple[str, Float[np.ndarray, " a"], bool]]:
     """(name, amounts (a,), converged) of every adjustment alone, and of all together where there are several."""
-    a = len(machine.adjustments)
-    starts = _starts(machine, found)
-    alone = _climb(machine, seen, starts[:, None] * np.eye(a), np.eye(a), evaluations)
-    ends = [(name, *end) for name, end in zip(machine.adjustments, alone, strict=True)]
+    a, starts = len(machine.adjustments), _starts(machine, found)
+    ends = [
+        (name, *_minimise(machine, seen, np.arange(a) == i, starts, evaluations))
+        for i, name in enumerate(machine.adjustments)
+    ]
     if a > 1:
-        further = [*starts, *(amounts for amounts, _ in alone)]
-        ends.append((TOGETHER, *_climb(machine, seen, np.array(further)[:, None], np.ones((1, a)), evaluations)[0]))
+        further = np.array([*starts, *(amounts for _, amounts, _ in ends)])
+        ends.append((TOGETHER, *_minimise(machine, seen, np.ones(a, dtype=bool), further, evaluations)))
     return ends
 
 
@@ -200,33 +201,41 @@ def _starts(machine: _Machine, found: Identification) -> Float[np.ndarray, "c a"
     return np.array([np.zeros(len(low)), np.clip(undone, low, high), 0.5 * low, 0.5 * high])
 
 
-def _climb(
+def _minimise(
     machine: _Machine,
     seen: Int[np.ndarray, " n"],
-    starts: Float[np.ndarray, "c p a"],
-    free: Float[np.ndarray, "p a"],
+    free: Bool[np.ndarray, " a"],
+    starts: Float[np.ndarray, "c a"],
     evaluations: int,
-) -> list[tuple[Float[np.ndarray, " a"], bool]]:
-    """Minimise the mean over the samples seen, by the adjustments that are `free` (1, else 0) in each of p searches, in
-    one batch, each from the best of c starts; amounts (a,) and whether the search converged."""
-    low, width = machine.bounds[:, 0], 0.5 * np.ptp(machine.bounds, axis=1)
-    c, p, a = starts.shape
-    means = machine.means(starts.reshape(c * p, a), seen).reshape(c, p)
-    spread = np.ptp(means[np.isfinite(means)]) if np.isfinite(means).any() else 0.0
-    scale = spread if spread > 0.0 else 1.0
-    first = np.argmin(np.where(np.isfinite(means), means, np.inf), axis=0)
-    begin = starts[first, np.arange(p)]
+) -> tuple[Float[np.ndarray, " a"], bool]:
+    """Amounts (a,), of adjustments that are not free 0, with the least mean over the samples seen, from the best of c
+    starts; and whether the search converged."""
+    low, width = machine.bounds[free, 0], np.ptp(machine.bounds[free], axis=1)
+    starts = np.unique(np.where(free, starts, 0.0), axis=0)
+    means = machine.means(starts, seen)
+    good = np.isfinite(means)
+    if not good.any():
+        return np.zeros(len(free)), False
+    lowest = float(means[good].min())
+    scale = float(np.ptp(means[good])) or 1.0
+    known: dict[bytes, tuple[float, np.ndarray]] = {}
 
-    # A search goes on with its own coordinates among others', so that it brings along which of them are free.
-    def function(v):
-        moves, mine = np.asarray(v)[:, :a], np.asarray(v)[:, a:]
-        mean, slope = machine.slopes(low + width * (moves + 1.0), seen)
-        return -mean / scale, np.concatenate([-slope * width / scale * mine, np.zeros_like(slope)], axis=1)
+    def at(y):
+        return np.where(free, np.array([*(low + width * y)])[np.cumsum(free) - 1], 0.0)
 
-    v = np.concatenate([(begin - low) / width - 1.0, free], axis=1)
-    ends = climb_together(function, projection("box"), v, evaluations=evaluations, tolerance=STATIONARY)
-    amounts = np.where(free > 0.0, low + width * (np.asarray(ends.point)[:, :a] + 1.0), 0.0)
-    return [(u, bool(good)) for u, good in zip(amounts, np.asarray(ends.converged), strict=True)]
+    start = (starts[int(np.nanargmin(means))][free] - low) / width
+
+    def function(y):
+        if y.tobytes() not in known:
+            mean, slope = (one[0] for one in machine.slopes(at(y)[None], seen))
+            found = (mean - lowest) / scale, slope[free] * width / scale
+            if not (np.isfinite(mean) and np.isfinite(slope).all()):
+                found = FAILED * (1.0 + float(np.sum((y - start) ** 2))), 2.0 * FAILED * (y - start)
+            known[y.tobytes()] = found
+        return *known[y.tobytes()], np.zeros(0), np.zeros((0, len(y)))
+
+    end = minimise_within(function, start, most=evaluations, stationary=STATIONARY)
+    return at(end.y), end.residual <= STATIONARY
 
 
 def _outcome(
