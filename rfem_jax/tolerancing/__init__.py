@@ -23,6 +23,7 @@ _names = {
     "designs.sweep_study": "sweep",
     "identification.correction": "correct",
     "identification.identification_study": "identifiability identify",
+    "identification.production": "estimate_production",
     "problems.capability": "process_capability",
     "problems.distributions": "Normal ProcessNormal Triangular TruncatedNormal Uniform",
     "problems.joint_distributions": "CorrelatedNormal Zone",
