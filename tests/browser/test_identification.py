@@ -10,7 +10,7 @@ from rfem_jax.report.page.document import write_folder
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.catalogue import report_on
 from tests.report.conftest import STUDY
-from tests.report.test_identification import CORRECTION, TABLES, build, measure
+from tests.report.test_identification import CORRECTION, TABLES, build, measure, measure_machines
 
 from .test_results import table, task_tab
 
@@ -71,3 +71,13 @@ def test_what_signals_can_tell_is_shown_without_data(identified, open_page):
     head, rows = table(page, "#identified-errors")
     assert head == ["error", "deviation before", "deviation after"] and rows[1][1].endswith(" mm")
     assert not page.all("#identification-curves") and page.complaints() == []
+
+
+def test_the_errors_of_production_are_shown(identified, open_page, tmp_path):
+    measure_machines(tmp_path / "measured.csv")
+    out = identified(TABLES)
+    page = open_page(out / "report.html")
+    task_tab(page, "Identification")
+    assert page.text("#identification-status").startswith("Status ok: ")
+    assert len(table(page, "#production")[1]) == 2 and len(table(page, "#machines")[1]) == 12
+    assert page.text("#production-tolerances").startswith("[tolerances]") and page.complaints() == []

@@ -165,6 +165,61 @@ def test_a_correction_is_written_told_and_drawn(path, tmp_path, capsys):
     assert "correction: D.rms_moment by D.delta_x, D.d_y" in tasks_text(study)
 
 
+def measure_machines(path, count=12):
+    """One file with the column `machine`; the last one has noise that the sensors cannot have."""
+    rng = np.random.default_rng(2)
+    rows = ["machine, time_s, rate_rad_s, A_force_x_N"]
+    for number in range(count):
+        truth = {
+            name: size * z
+            for (name, size), z in zip((("D.delta_x", 1e-3), ("D.d_y", 6e-5)), rng.normal(size=2), strict=True)
+        }
+        values, noise = signals(truth), 5.0 if number == count - 1 else 1.0
+        for k in range(1, 100):
+            rate = float(values["rate_rad_s"][k]) + 0.02 * noise * rng.normal()
+            force = float(values["A_force_x_N"][k]) + 0.3 * noise * rng.normal()
+            rows.append(f"no {number}, {TIMES[k]:.3f}, {rate:.5f}, {force:.5f}")
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+
+
+def test_several_machines_tell_the_errors_of_production(path, tmp_path, capsys):
+    measure_machines(tmp_path / "measured.csv")
+    out = tmp_path / "out"
+    assert main(["identify", str(path), "--out", str(out)]) == 0
+    assert {one.name for one in out.iterdir()} == {
+        *("identification.csv", "identification.json", "identification_machines.csv", "identification_production.png"),
+        *("identification_tolerances.toml", "report.html"),
+    }
+    found = json.loads((out / "identification.json").read_text(encoding="utf-8"))
+    for row, true in zip(rows_of(out / "identification.csv"), (1e-3, 6e-5), strict=True):
+        assert float(row["deviation_low"]) < true < float(row["deviation_high"]) and float(row["mean_low"]) < 0.0
+    machines = rows_of(out / "identification_machines.csv")
+    assert [row["status"] for row in machines] == ["ok"] * 11 + ["misfit"] and machines[-1]["machine"] == "no 11"
+    printed = capsys.readouterr().out
+    assert "Production, from 11 machines: status ok" in printed and "Left out (1 misfit): no 11." in printed
+    lines = (out / "identification_tolerances.toml").read_text(encoding="utf-8")
+    assert lines in found["tolerances"] and lines.splitlines()[0] in printed
+    again = tmp_path / "again.toml"
+    again.write_text(STUDY + lines, encoding="utf-8")
+    specified = load_study(again).tasks.tolerances
+    assert specified.half_widths()["D.delta_x"] == pytest.approx(3.0 * found["errors"][0]["deviation"], rel=1e-4)
+    figure = report_on(load_study(path), "identification")
+    (axes, _) = figure.pictures(figure.run(tmp_path))["identification_production"].axes
+    assert len(axes.lines[-1].get_xdata()) == 11
+
+
+def test_tables_of_machines_that_cannot_be_read(path, tmp_path, capsys):
+    measure_machines(tmp_path / "measured.csv", count=2)
+    run = ["identify", str(path), "--out", str(tmp_path / "out")]
+    assert main(run) == 2 and "`machines` must be at least 3" in capsys.readouterr().err
+    text = (tmp_path / "measured.csv").read_text(encoding="utf-8")
+    (tmp_path / "measured.csv").write_text(text.replace("no 1, 0.010", ", 0.010"), encoding="utf-8")
+    assert main(run) == 2 and "`machine` of row 102" in capsys.readouterr().err
+    path.write_text(STUDY + TABLES + CORRECTION, encoding="utf-8")
+    measure_machines(tmp_path / "measured.csv", count=3)
+    assert main(run) == 2 and "`correction` must be of one machine" in capsys.readouterr().err
+
+
 def test_a_correction_on_doubtful_errors_is_no_success(path, tmp_path, capsys):
     measure(tmp_path / "measured.csv", noise=3.0)
     path.write_text(STUDY + TABLES + CORRECTION, encoding="utf-8")

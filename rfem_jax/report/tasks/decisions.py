@@ -1,8 +1,10 @@
-"""What identifications are for, beside the errors: the correction of a machine, in files and pictures.
+"""What identifications are for, beside the errors: the correction of a machine, and the distribution of errors that
+production has, in files and pictures.
 
-Place in the pipeline: `correct` -> **decisions** -> the report on identifications.
+Place in the pipeline: `correct`, `estimate_production` -> **decisions** -> the report on identifications.
 """
 
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -13,12 +15,15 @@ from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.correction import AskedCorrection
 from rfem_jax.description.tolerances.error_catalogue import as_specified
 from rfem_jax.report.annotations import Figure
-from rfem_jax.report.style import CASE_COLOURS, LINE_STYLES, add_titles, new_figure
+from rfem_jax.report.style import CASE_COLOURS, LINE_STYLES, MARKERS, add_titles, new_figure
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.monte_carlo import scatter_matrix
 from rfem_jax.tolerancing.identification.correction import correct
 from rfem_jax.tolerancing.identification.correction_result import AS_IT_IS, Correction, Outcome
 from rfem_jax.tolerancing.identification.identification_result import Identification
+from rfem_jax.tolerancing.identification.measurements import Data
+from rfem_jax.tolerancing.identification.production import estimate_production
+from rfem_jax.tolerancing.identification.production_result import Production
 from rfem_jax.tolerancing.layout import show_error
 
 MOST_PAIRS = 6  # errors in the picture of pairs
@@ -115,3 +120,49 @@ def posterior_figure(study: Study, found: Identification) -> Figure:
         scales.append(factor)
     heading = "What is known of the errors after the measurement; above the diagonal rank correlations"
     return scatter_matrix(study, names, samples * scales, heading)
+
+
+def production_of(
+    machines: Mapping[str, Data], find: Callable[[Data], Identification], confidence: float
+) -> Production:
+    """The distribution of the errors of several machines, each identified by `find`. Raises: InputError."""
+    found = {}
+    for number, (name, data) in enumerate(machines.items()):
+        on_stage(f"Identifying {len(machines)} machines", number / len(machines))
+        found[name] = find(data)
+    return estimate_production(found, confidence=confidence)
+
+
+def production_content(result: Production) -> dict[str, Any]:
+    """As a JSON file has it."""
+    return {
+        "status": result.status, "message": result.message, "confidence": result.confidence, "errors": result.rows(),
+        "machines": result.machine_rows(), "tolerances": result.lines(),
+        "units": dict(zip(result.names, result.error_units, strict=True)),
+    }  # fmt: skip
+
+
+def production_figure(study: Study, result: Production) -> Figure:
+    """Every error, in its unit: the machines, mean and three deviations of production, and the tolerance."""
+    k = len(result.names)
+    figure = new_figure(7.6, 0.9 * k + 1.6)
+    panels = figure.subplots(k, 1, squeeze=False)[:, 0]
+    for i, (axes, name, unit) in enumerate(zip(panels, result.names, result.error_units, strict=True)):
+        word, factor = as_specified(unit)
+        low, high = factor * result.tolerances[i]
+        if np.isfinite(low):
+            axes.barh(0.0, high - low, 0.9, left=low, color="#E4E4E4", label="tolerance")
+        axes.errorbar(
+            factor * result.mean[i], 0.0, xerr=3.0 * factor * result.deviation[i], fmt=MARKERS[1], capsize=4,
+            color=CASE_COLOURS[1], label="production, mean and three deviations",
+        )  # fmt: skip
+        x = factor * result.errors[:, i]
+        places = np.linspace(-0.3, 0.3, len(x)) if len(x) > 1 else np.zeros(len(x))
+        axes.plot(x, places, MARKERS[0], ms=2.5, color=CASE_COLOURS[2], markeredgewidth=0.0, label="machines")
+        axes.set_yticks([0.0], [name])
+        axes.set_ylim(-0.5, 0.5)
+        axes.grid(visible=False, axis="y")
+        axes.set_xlabel(word)
+    panels[0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False)
+    add_titles(figure, f"Errors of production, from {len(result.machines)} machines", study)
+    return figure

@@ -4,6 +4,7 @@ Place in the pipeline: `rfem_jax.description.tasks.identification` -> **identifi
 pictures.
 """
 
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,9 @@ from rfem_jax.report.tasks.decisions import (
     correction_figure,
     posterior_figure,
     posterior_samples,
+    production_content,
+    production_figure,
+    production_of,
 )
 from rfem_jax.report.tasks.task_report import GRADIENT, TaskReport, as_stage
 from rfem_jax.tolerancing.identification.identification_result import (
@@ -36,20 +40,23 @@ from rfem_jax.tolerancing.identification.identification_result import (
     visibility_content,
 )
 from rfem_jax.tolerancing.identification.identification_study import identifiability, identify
+from rfem_jax.tolerancing.identification.measurements import Data, machines_in
+from rfem_jax.tolerancing.identification.production_result import Production
 from rfem_jax.tolerancing.identification.signals import signal
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
+from rfem_jax.tolerancing.progress import ProgressOption
 
 SHOWN = 400  # samples of a curve on the page
 MOST_PANELS = 8
 USUAL_STEPS = 12  # of searches
-Result = Identification | Identifiability
+Result = Identification | Identifiability | Production
 
 
 class IdentificationReport(TaskReport[IdentificationTask, Result]):
     """Errors from measurements; without measurements what they could tell."""
 
     def run(self, folder: Path) -> Result:
-        """The errors, or without data what the signals can tell of them.
+        """The errors, of several machines their distribution, or without data what the signals can tell of them.
 
         Raises: InputError for data that cannot be used, and for a mechanism at rest.
         """
@@ -69,15 +76,31 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
         if not task.data:
             on_stage("Finding what signals can tell")
             return identifiability(problem, {**task.signals, **task.candidates}, points=2 * task.starts, **common)
-        with located("[identification]"):
-            found = identify(
-                problem, self.data_path, task.signals, candidates=task.candidates, loss=task.loss,
+
+        def find(data: Data, progress: ProgressOption = False) -> Identification:
+            return identify(
+                problem, data, task.signals, candidates=task.candidates, loss=task.loss,
                 confidence=task.confidence, starts=task.starts, iterations=task.iterations, samples=task.samples,
-                progress=as_stage(f"Searching {len(task.unknowns)} unknowns"), **common,
+                progress=progress, **common,
             )  # fmt: skip
+
+        with located("[identification]"):
+            machines = machines_in(self.data_path, task.signals)
+            if len(machines) > 1:
+                return self._production(machines, find)
+            found = find(self.data_path, as_stage(f"Searching {len(task.unknowns)} unknowns"))
             if task.correction is None:
                 return found
             return replace(found, correction=corrected(study, task.correction, task.at, found))
+
+    def _production(self, machines: dict[str, Data], find: Callable[[Data], Identification]) -> Production:
+        """What several machines say of production. Raises: InputError."""
+        if self.task.correction is not None:
+            raise InputError(
+                f"Argument `correction` must be of one machine, but the data have {len(machines)}; leave out the table "
+                "[identification.correction], or the rows of other machines."
+            )
+        return production_of(machines, find, self.task.confidence)
 
     @property
     def data_path(self) -> Path:
@@ -88,6 +111,8 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
     def write(self, folder: Path, result: Result) -> list[Path]:
         """Write identification.json, identification.csv (one row per unknown; `unit` is that of all its numbers but
         probabilities) and identification_curves.csv (every sample: measured, simulated before and after)."""
+        if isinstance(result, Production):
+            return self._write_production(folder, result)
         units = dict(zip(result.names, result.error_units, strict=True))
         visibility = visibility_content(result.visibility)
         if isinstance(result, Identifiability):
@@ -120,6 +145,14 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
         rows = {"curves": curve_rows(result.curves, columns)}
         rows["correction"] = [] if result.correction is None else result.correction.rows()
         return [*written, *(write_csv(folder / f"{self.name}_{of}.csv", some) for of, some in rows.items() if some)]
+
+    def _write_production(self, folder: Path, result: Production) -> list[Path]:
+        """Also identification_machines.csv, a row per machine, and identification_tolerances.toml."""
+        written = self.write_both(folder, production_content(result), result.rows())
+        written.append(write_csv(folder / f"{self.name}_machines.csv", result.machine_rows()))
+        lines = folder / f"{self.name}_tolerances.toml"
+        lines.write_text(result.lines(), encoding="utf-8")
+        return [*written, lines]
 
     def succeeded(self, result: Result) -> bool:
         """Also where several sets of errors explain the data: all of them are told."""
@@ -165,6 +198,8 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
         return value if name == "data" else super().setting_text(name, value)
 
     def draw(self, result: Result) -> dict[str, Figure]:
+        if isinstance(result, Production):
+            return {"production": production_figure(self.study, result)} if result.machines else {}
         if isinstance(result, Identifiability) or not result.curves:
             return {}
         figures = {"curves": curves_figure(self.study, result), "errors": errors_figure(self.study, result)}

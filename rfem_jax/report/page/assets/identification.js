@@ -4,6 +4,7 @@ function identificationPage(task) {
   const { result } = task;
   const errors = (Array.isArray(result.errors) ? result.errors : []).filter((one) => one && typeof one === "object");
   if (!errors.length) return null;
+  if (Array.isArray(result.machines)) return productionPage(result, errors);
   const curves = (Array.isArray(result.curves) ? result.curves : []).filter((one) => one && Array.isArray(one.times));
   const status = `Status ${String(result.status).replace(/_/g, " ")}${result.message ? `: ${result.message.replaceAll("`", "")}` : ""}.`;
   return [
@@ -38,6 +39,27 @@ function modesTable(result, errors) {
     ...errors.map((one, i) => ({ label: one.error, value: (row) => row.errors[i], show: (value) => showError(value, one.unit) })),
   ];
   return sortableTable("Sets of errors", columns, result.modes, { id: "identified-modes" });
+}
+
+// Several machines: the distribution of their errors, the lines of a study that say the same, and every machine.
+function productionPage(result, errors) {
+  const inUnit = (key) => ({ value: (row) => row[key], show: (value, row) => (typeof value === "number" ? showError(value, row.unit) : "\u2013") });
+  const range = `${showNumber(100 * result.confidence, 3)} % interval`;
+  const columns = [
+    { label: "error", value: (row) => row.error }, { label: "mean", ...inUnit("mean") }, { label: `${range} from`, ...inUnit("mean_low") }, { label: "to", ...inUnit("mean_high") },
+    { label: "deviation", title: "standard deviation from machine to machine", ...inUnit("deviation") }, { label: "deviation from", ...inUnit("deviation_low") }, { label: "deviation to", ...inUnit("deviation_high") },
+    { label: "from others", unit: "%", title: "how much of a machine's errors comes from the others", value: (row) => 100 * row.shrinkage, show: (value) => showNumber(value, 3) },
+  ];
+  const machines = [
+    { label: "machine", value: (row) => row.machine }, { label: "status", value: (row) => row.status },
+    ...errors.map((one) => ({ label: one.error, value: (row) => row[one.error], show: (value) => (typeof value === "number" ? showError(value, one.unit) : "\u2013") })),
+    { label: "as far by chance", title: "probability that a machine is as far from the others", value: (row) => row.chance, show: (value) => (typeof value === "number" ? showNumber(value, 2) : "\u2013") },
+  ];
+  return [
+    section("Errors of production", make("p", { id: "identification-status" }, `Status ${result.status}: ${result.message}.`), sortableTable("Errors", columns, errors, { id: "production" }),
+      make("p", { class: "hint" }, "As the table of a study file:"), make("pre", { id: "production-tolerances" }, result.tolerances)),
+    section("Machines", sortableTable("Machines", machines, result.machines, { id: "machines" })),
+  ];
 }
 
 // Pairs of errors, in deg and mm: a cloud for each, as long as they are few.
