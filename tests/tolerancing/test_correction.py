@@ -142,6 +142,7 @@ def test_what_is_in_doubt_is_no_promise(machine):
     # Nothing helps.
     useless = correct(LOADS, found, "C.tilt", {"D.delta_x": (-0.01, 0.01)})
     assert useless.status == "no_gain" and not useless.sentences() and useless.best.mean == useless.before.mean
+    assert useless.best.amounts == [0.0]
     assert misfit.status == "ok"
 
     def stuck(errors):

@@ -38,6 +38,7 @@ from rfem_jax.tolerancing.problems.simulated_problem import Problem
 from rfem_jax.tolerancing.robust_design.search import minimise_within
 
 STATIONARY = 1e-3  # slope of the mean over its spread, by amounts over their ranges, at which a search ends
+ROUNDING = 1e-9  # of means: an adjustment that changes less does nothing
 FAILED = 1e3  # that mean where a run failed, which rises from the start on, so that searches turn back
 SMALLEST_GAIN = 1e-3  # of the metric
 MOST_FAILURES = 0.01  # probability that the machine does not work, above which no promise is made
@@ -216,14 +217,16 @@ def _minimise(
     good = np.isfinite(means)
     if not good.any():
         return np.zeros(len(free)), False
-    lowest = float(means[good].min())
-    scale = float(np.ptp(means[good])) or 1.0
+    lowest, nothing = float(means[good].min()), int(np.argmin(np.abs(starts).sum(axis=1)))
+    spread, negligible = float(np.ptp(means[good])), ROUNDING * float(np.abs(means[good]).max())
+    scale = spread if spread > negligible else 1.0
+    best = nothing if means[nothing] <= lowest + negligible else int(np.nanargmin(means))
     known: dict[bytes, tuple[float, np.ndarray]] = {}
 
     def at(y):
         return np.where(free, np.array([*(low + width * y)])[np.cumsum(free) - 1], 0.0)
 
-    start = (starts[int(np.nanargmin(means))][free] - low) / width
+    start = (starts[best][free] - low) / width
 
     def function(y):
         if y.tobytes() not in known:

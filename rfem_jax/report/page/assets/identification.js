@@ -85,10 +85,10 @@ function correctionSection(correction) {
     { label: `${metric}`, unit, value: (row) => row.mean, show: (value) => showNumber(value, 4) },
     { label: `${range} from`, unit, value: (row) => row.low, show: (value) => showNumber(value, 4) }, { label: "to", unit, value: (row) => row.high, show: (value) => showNumber(value, 4) },
     { label: `${showNumber(100 * correction.quantile, 3)} % below`, unit, value: (row) => row.quantile, show: (value) => showNumber(value, 4) },
-    { label: "less", unit: "%", title: "probability that the metric is less than as it is", value: (row) => row.less, show: percent },
+    { label: "less", unit: "%", title: "probability that the metric is less than as it is", value: (row) => (row === outcomes[0] ? null : row.less), show: percent },
     ...Object.keys(outcomes[0].broken).map((name) => ({ label: `${name} broken`, unit: "%", title: "probability that its limit is broken", value: (row) => row.broken[name], show: percent })),
     { label: "beyond tolerance", unit: "%", title: "probability that an error is beyond its tolerance", value: (row) => row.any_beyond, show: percent },
-    { label: "fails", unit: "%", title: "probability that the machine does not work", value: (row) => row.failed, show: percent },
+    ...(outcomes.some((one) => one.failed > 0) ? [{ label: "fails", unit: "%", title: "probability that the machine does not work", value: (row) => row.failed, show: percent }] : []),
   ];
   const shown = outcomes.filter((one, i) => i === 0 || one.name === correction.best || (i === outcomes.length - 1 && i > 1));
   const dashes = [[], [6, 4], [2, 3]];
