@@ -8,6 +8,7 @@ rate at 200 Hz and the moment about z in joint D at 500 Hz, whose strain gauges 
 """
 
 import argparse
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -35,7 +36,7 @@ OFFSET = 0.12  # N m
 INTERVALS = {"rate_rad_s": 5, "D_moment_z_Nm": 2}  # ms
 
 
-def true_run(study: Study, errors: dict[str, float | str]) -> Run:
+def true_run(study: Study, errors: Mapping[str, float | str]) -> Run:
     """The machine with these errors as it runs."""
     links = [one if one.rigid else replace(one, rfes=2 * one.rfes + 2) for one in study.mechanism.links]
     model = discretise(replace(study.mechanism, links=links))

@@ -97,7 +97,8 @@ def test_production_is_found_with_the_likelihood_of_the_data_themselves(fleet):
     assert (np.sqrt(np.sum(away * ((precision + np.eye(3)) @ away), axis=0)) < 0.01).all()
     known = known._replace(slope=slopes)
     first, second = np.array([0.3, 0.8, 0.0]), np.array([1.0, 0.2, 0.5])
-    logs = [float(restricted(jnp.asarray(one), known.precision, known.slope).log) for one in (first, second)]
+    arrays = [jnp.asarray(one) for one in (known.precision, known.slope)]
+    logs = [float(restricted(jnp.asarray(one), *arrays).log) for one in (first, second)]
     assert logs[0] - logs[1] == pytest.approx(of_data(first)[0] - of_data(second)[0], rel=1e-9)
     # The estimate is the maximum of that, with the means that belong to it.
     sigma = result.deviation / SIGMA

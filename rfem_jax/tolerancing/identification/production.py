@@ -173,11 +173,14 @@ def _interval(known: Likelihoods, sigma: Float[np.ndarray, " k"], j: int, level:
     def risen(s):
         return _least(known, np.maximum(sigma, 0.01), {j: s})[1] - least - fall
 
-    low = brentq(risen, 0.0, sigma[j], xtol=1e-4) if sigma[j] > 0.0 and risen(0.0) > 0.0 else 0.0
+    def end_between(a, b):
+        return float(np.asarray(brentq(risen, a, b, xtol=1e-4)))
+
+    low = end_between(0.0, sigma[j]) if sigma[j] > 0.0 and risen(0.0) > 0.0 else 0.0
     beyond = max(2.0 * sigma[j], 0.05)
     while beyond < LARGEST and risen(beyond) < 0.0:
         beyond *= 2.0
-    return low, brentq(risen, sigma[j], beyond, xtol=1e-4) if beyond < LARGEST else np.inf
+    return low, end_between(sigma[j], beyond) if beyond < LARGEST else np.inf
 
 
 def _conclude(
