@@ -188,7 +188,7 @@ def test_results_are_shown_as_tables_and_arrays(machine):
         ({"at": {"C.d_q": 1.0}}, ("`at`", "`C.d_q`")),
         ({"quantile": 1.0}, ("`quantile`",)),
         ({"points": 0}, ("`points`",)),
-        ({"evaluations": 0}, ("`evaluations`",)),
+        ({"steps": 0}, ("`steps`",)),
     ],
 )
 def test_wrong_arguments_are_refused_in_a_sentence(change, words, machine, refused):

@@ -24,7 +24,7 @@ class AskedCorrection(ChecksItself):
         limits: {metric: largest value, or (low, high)} in its unit, whose probabilities to be broken are told.
         quantile: the metric is below the value that is told with this probability, between 0 and 1.
         points: samples of what is known of the errors that searches see.
-        evaluations: the most simulations with derivatives of each of them in a search.
+        steps: the most of a search, each with derivatives at all of these samples.
     Raises: InputError for settings that are out of range.
     """
 
@@ -33,14 +33,14 @@ class AskedCorrection(ChecksItself):
     limits: dict[str, tuple[float, float]] = field(default_factory=dict)
     quantile: float = 0.95
     points: int = 16
-    evaluations: int = 40
+    steps: int = 40
 
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("metric", _metric)
         checks.convert("adjustments", bounds_of, "adjustments")
         checks.convert("limits", limits_of)
         convert_all(checks, ("quantile",), fraction)
-        convert_all(checks, ("points", "evaluations"), whole_number, 1)
+        convert_all(checks, ("points", "steps"), whole_number, 1)
         checks.relation(("adjustments",), self._require_changes)
 
     def _require_changes(self) -> None:

@@ -38,7 +38,7 @@ def corrected(study: Study, asked: AskedCorrection, at: dict[str, float], found:
     problem = study_problem.build_problem(study, list(dict.fromkeys((asked.metric, *asked.limits))))
     return correct(
         problem, found, asked.metric, asked.adjustments, limits=asked.limits, at=at, quantile=asked.quantile,
-        points=asked.points, evaluations=asked.evaluations,
+        points=asked.points, steps=asked.steps,
     )  # fmt: skip
 
 

@@ -184,7 +184,7 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
         outcomes = len(asked.adjustments) + min(len(asked.adjustments), 2)
         return [
             f"{self.task.samples * outcomes} of machines before and after corrections, and up to "
-            f"{asked.points * asked.evaluations * (outcomes - 1)} with derivatives to find these"
+            f"{asked.points * asked.steps * (outcomes - 1)} with derivatives to find these"
         ]
 
     def setting_text(self, name: str, value: Any) -> str:

@@ -54,7 +54,7 @@ def correct(
     at: ErrorValues | None = None,
     quantile: float = 0.95,
     points: int = 16,
-    evaluations: int = 40,
+    steps: int = 40,
 ) -> Correction:
     """Find the adjustment that reduces a metric of a measured machine most, and what the metric is after it.
 
@@ -69,13 +69,13 @@ def correct(
         at: {error: value} of errors that are known, as of `identify`.
         quantile: the metric is below `reached` with this probability.
         points: samples of the posterior that the searches see.
-        evaluations: the most of them, with derivatives, in a search.
+        steps: the most of a search, each with derivatives at all of these samples.
     Returns: the result, whose status says what is in doubt.
     Raises: InputError for an identification without a posterior, unknown names and bad numbers.
     """
     require_float64()
     level = fraction(quantile, "quantile")
-    for what, number in (("points", points), ("evaluations", evaluations)):
+    for what, number in (("points", points), ("steps", steps)):
         whole_number(number, what, 1)
     if not len(found.weights):
         raise InputError(
@@ -88,7 +88,7 @@ def correct(
     ends, works = [(AS_IT_IS, nothing, True)], np.isfinite(before[:, machine.index])
     if works.any():
         seen = _representatives(before[:, machine.index], found.weights, points)
-        ends += _search(machine, found, seen, evaluations)
+        ends += _search(machine, found, seen, steps)
     outcomes = tuple(_outcome(machine, found, before, end, level) for end in ends)
     return Correction(
         metric=machine.problem.metrics[machine.index].name, unit=machine.problem.metrics[machine.index].unit,
@@ -180,17 +180,17 @@ def _representatives(
 
 
 def _search(
-    machine: _Machine, found: Identification, seen: Int[np.ndarray, " n"], evaluations: int
+    machine: _Machine, found: Identification, seen: Int[np.ndarray, " n"], steps: int
 ) -> list[tuple[str, Float[np.ndarray, " a"], bool]]:
     """(name, amounts (a,), converged) of every adjustment alone, and of all together where there are several."""
     a, starts = len(machine.adjustments), _starts(machine, found)
     ends = [
-        (name, *_minimise(machine, seen, np.arange(a) == i, starts, evaluations))
+        (name, *_minimise(machine, seen, np.arange(a) == i, starts, steps))
         for i, name in enumerate(machine.adjustments)
     ]
     if a > 1:
         further = np.array([*starts, *(amounts for _, amounts, _ in ends)])
-        ends.append((TOGETHER, *_minimise(machine, seen, np.ones(a, dtype=bool), further, evaluations)))
+        ends.append((TOGETHER, *_minimise(machine, seen, np.ones(a, dtype=bool), further, steps)))
     return ends
 
 
@@ -207,7 +207,7 @@ def _minimise(
     seen: Int[np.ndarray, " n"],
     free: Bool[np.ndarray, " a"],
     starts: Float[np.ndarray, "c a"],
-    evaluations: int,
+    steps: int,
 ) -> tuple[Float[np.ndarray, " a"], bool]:
     """Amounts (a,), of adjustments that are not free 0, with the least mean over the samples seen, from the best of c
     starts; and whether the search converged."""
@@ -237,7 +237,7 @@ def _minimise(
             known[y.tobytes()] = found
         return *known[y.tobytes()], np.zeros(0), np.zeros((0, len(y)))
 
-    end = minimise_within(function, start, most=evaluations, stationary=STATIONARY)
+    end = minimise_within(function, start, most=steps, stationary=STATIONARY)
     return at(end.y), end.residual <= STATIONARY
 
 

@@ -19,7 +19,7 @@ STATUSES = {
     "doubtful": "what was found of the errors, or runs after the correction, are in doubt: do not rely on what is "
     "promised until the status of the identification is ok and runs succeed",
     "not_converged": "the search ended before the best amounts were found: what is promised holds for the amounts that "
-    "are told, and others may be better; allow more `evaluations`",
+    "are told, and others may be better; allow more `steps`",
     "no_gain": "no adjustment within its bounds makes the metric less",
     "ok": "the best adjustment makes the metric less",
 }
