@@ -1,11 +1,14 @@
 """Corrections of machines that were measured: theory of linear machines, promises that hold, what is refused."""
 
+import dataclasses
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
 
 from rfem_jax import FunctionProblem, Normal, Sensor, Tolerances, correct, identify
+from rfem_jax.tolerancing.identification.correction import _read, _representatives
 
 TIMES = np.linspace(0.0, 1.0, 51)
 NAMES = ("D.delta_x", "D.delta_z", "D.d_y")
@@ -84,6 +87,40 @@ def test_amounts_and_promises_are_those_of_the_linear_theory(machine):
     inside = np.diff(stats.norm.cdf((np.array([-3.0, 3.0]) - moved) / np.sqrt(covariance[0, 0])))[0]
     assert tilt.beyond[0] == pytest.approx(1.0 - inside, abs=0.03) and tilt.any_beyond >= tilt.beyond.max()
     assert result.best.mean == min(tilt.mean, shift.mean) and result.together is together
+
+
+def test_tolerances_that_are_violated_after_a_correction(machine):
+    found, mean, covariance = machine
+    near = dataclasses.replace(found, tolerances=SIGMA[:, None] * np.array([-0.9, 1.05]))
+    before, after = correct(LOADS, near, "C.square", {"D.d_y": ("-1 mm", "1 mm")}).outcomes
+    for outcome in (before, after):
+        z = mean + [0.0, 0.0, outcome.amounts[0] / SIGMA[2]]
+        inside = np.diff(stats.norm.cdf((np.array([-0.9, 1.05]) - z[:, None]) / np.sqrt(np.diag(covariance))[:, None]))
+        assert outcome.beyond == pytest.approx(1.0 - inside[:, 0], abs=0.03)
+        assert outcome.beyond.max() <= outcome.any_beyond <= outcome.beyond.sum()
+    assert before.beyond[0] > 0.1 and abs(after.beyond[2] - before.beyond[2]) > 0.1
+
+
+def test_slopes_are_those_of_differences_and_searches_are_short(machine, monkeypatch):
+    found, _, _ = machine
+    read = _read(LOADS, found, "C.square", {**ADJUSTMENTS, "C.d_y": ("-1 mm", "1 mm")}, None, None)
+    seen, amounts = np.arange(5), np.array([[1e-3, -2e-5, 3e-5]])
+    mean, slopes = read.slopes(amounts, seen)
+    np.testing.assert_allclose(read.means(amounts, seen), mean, rtol=1e-12)
+    steps = np.diag([1e-6, 1e-7, 1e-7])
+    differences = (read.means(amounts + steps, seen) - read.means(amounts - steps, seen)) / (2.0 * np.diag(steps))
+    np.testing.assert_allclose(slopes[0], differences, rtol=1e-6)
+    # A parabola is at its least after a few steps, if its slope belongs to its values.
+    calls, of = [], type(read).slopes
+    monkeypatch.setattr(type(read), "slopes", lambda self, *given: calls.append(1) or of(self, *given))
+    correct(LOADS, found, "C.square", {"C.d_y": ("-1 mm", "1 mm")})
+    assert 2 <= len(calls) <= 6
+
+
+def test_samples_that_searches_see_are_as_frequent_as_probable():
+    weights = np.array([0.1, 0.0, 0.5, 0.2, 0.2])
+    chosen = _representatives(np.array([3.0, 1.0, np.nan, 2.0, 4.0]), weights, 50)
+    assert np.bincount(chosen, minlength=5).tolist() == [10, 0, 0, 20, 20]  # of runs that succeeded
 
 
 def test_amounts_stay_in_their_bounds(machine):

@@ -125,6 +125,21 @@ def test_production_is_found_with_the_likelihood_of_the_data_themselves(fleet):
 
 
 @pytest.mark.slow
+def test_what_a_machine_says_does_not_depend_on_what_was_known_before(fleet):
+    """With another prior the same data have the same likelihood."""
+    _, data, found = fleet
+    shifted = Tolerances({name: Normal(interval=(-s, 3.0 * s)) for name, s in zip(NAMES, SIGMA, strict=True)})
+    other = identify(
+        PROBLEM, {"time_s": TIMES, "rate_rad_s": data[0]}, {"rate_rad_s": Sensor(NOISE)}, shifted, times=TIMES,
+        starts=1, samples=64,
+    )  # fmt: skip
+    known = likelihoods_of([found[0], other])
+    np.testing.assert_allclose(known.precision[1], known.precision[0], rtol=1e-9, atol=1e-9)
+    near = np.linalg.solve(known.precision[0], (known.slope[1] - known.slope[0]))
+    assert near @ known.precision[0] @ near < 0.03**2 and np.abs(other.estimate - found[0].estimate).max() > 1e-5
+
+
+@pytest.mark.slow
 def test_lines_are_tolerances_of_a_study(fleet, tmp_path):
     from tests.report.conftest import STUDY
 
