@@ -35,7 +35,8 @@ _names = {
     ),
     "tolerancing": (
         "CorrelatedNormal Exponential FunctionProblem Metric Normal Problem ProcessNormal Reciprocal "
-        "ReciprocalSquared StaticProblem Tolerances Triangular TruncatedNormal Uniform Zone allocate expand "
+        "ReciprocalSquared StaticProblem Tolerances Triangular TruncatedNormal Uniform Zone allocate correct "
+        "estimate_production expand "
         "first_samples fit_response_surface identifiability identify mesh_convergence metric monte_carlo optimise "
         "pareto_front path_bands process_capability "
         "register_metric reliability sensitivity sweep worst_case"

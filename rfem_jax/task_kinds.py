@@ -147,9 +147,9 @@ _OF_THE_PACKAGE = (
         "identification",
         command="identify",
         purpose="the errors of a machine from what was measured of it, and what measurements can tell",
-        results="errors with intervals, how well signals are fitted, measured and simulated curves",
+        results="errors with intervals, how well signals are fitted, simulated curves, the best correction",
         kept="evaluations of an identification",
-        tables=("identification_curves",),
+        tables=("identification_curves", "identification_correction", "identification_machines"),
         data=True,
     ),
 )  # fmt: skip

@@ -22,7 +22,9 @@ from rfem_jax.lazy_names import lazy_names
 _names = {
     "designs.response_surface": "fit_response_surface",
     "designs.sweep_study": "sweep",
+    "identification.correction": "correct",
     "identification.identification_study": "identifiability identify",
+    "identification.production": "estimate_production",
     "problems.capability": "process_capability",
     "problems.distributions": "Normal ProcessNormal Triangular TruncatedNormal Uniform",
     "problems.joint_distributions": "CorrelatedNormal Zone",

@@ -10,7 +10,7 @@ from rfem_jax.report.page.document import write_folder
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.catalogue import report_on
 from tests.report.conftest import STUDY
-from tests.report.test_identification import TABLES, build, measure
+from tests.report.test_identification import CORRECTION, TABLES, build, measure, measure_machines
 
 from .test_results import table, task_tab
 
@@ -35,7 +35,7 @@ def identified(tmp_path, monkeypatch):
 
 
 def test_errors_intervals_curves_and_fits_are_shown(identified, open_page):
-    out = identified(TABLES)
+    out = identified(TABLES + CORRECTION)
     found, page = json.loads((out / "identification.json").read_text(encoding="utf-8")), open_page(out / "report.html")
     task_tab(page, "Identification")
     assert page.text("#identification-status") == f"Status ok: {found['message']}."
@@ -52,6 +52,15 @@ def test_errors_intervals_curves_and_fits_are_shown(identified, open_page):
     assert len(page.all("#identification-curves figure:nth-child(1) polyline.curve")) == 2
     assert [row[-1] for row in table(page, "#fitted-signals")[1]] == ["fits", "fits"]
     assert len(table(page, "#combinations")[1]) == 2 and len(table(page, "#signal-worth")[1]) == 3
+    # What is known of the errors together, and what a correction does.
+    assert len(page.all("#posterior figure")) == 1 and len(page.all("#posterior circle.faint")) > 40
+    head, rows = table(page, "#corrections")
+    assert [row[0] for row in rows] == ["as it is", "D.delta_x", "D.d_y", "all together"]
+    for row, outcome in zip(rows, found["correction"]["outcomes"], strict=True):
+        shown = row[next(i for i, label in enumerate(head) if label.startswith("D.rms_moment"))]
+        assert float(shown.split()[0]) == pytest.approx(outcome["mean"], rel=1e-3)
+    assert len(page.all("#correction-chart polyline.curve")) == 3
+    assert page.text("#correction-status").startswith("Status ok: ")
     assert page.complaints() == []
 
 
@@ -62,3 +71,13 @@ def test_what_signals_can_tell_is_shown_without_data(identified, open_page):
     head, rows = table(page, "#identified-errors")
     assert head == ["error", "deviation before", "deviation after"] and rows[1][1].endswith(" mm")
     assert not page.all("#identification-curves") and page.complaints() == []
+
+
+def test_the_errors_of_production_are_shown(identified, open_page, tmp_path):
+    measure_machines(tmp_path / "measured.csv")
+    out = identified(TABLES)
+    page = open_page(out / "report.html")
+    task_tab(page, "Identification")
+    assert page.text("#identification-status").startswith("Status ok: ")
+    assert len(table(page, "#production")[1]) == 2 and len(table(page, "#machines")[1]) == 12
+    assert page.text("#production-tolerances").startswith("[tolerances]") and page.complaints() == []

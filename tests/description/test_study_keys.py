@@ -106,6 +106,9 @@ limits = { "D.mean_square_moment" = 20.0 }
 [identification]
 signals = { rate_rad_s = { noise = 0.1 } }
 candidates = { A_force_x_N = { noise = "2 N" } }
+[identification.correction]
+metric = "D.rms_moment"
+adjustments = { "D.d_y" = ["-1 mm", "1 mm"] }
 """
 ALL_TASKS = TASKS.replace("[[tolerances.correlated]]", f"{ZONE}[[tolerances.correlated]]") + MORE_TASKS
 

@@ -158,7 +158,8 @@ def test_identify_misassembly(run_program, run_command, tmp_path):
     for link in content["mechanism"]["links"][1:]:
         link["rfes"] = 4
     content["identification"] |= {"starts": 4, "samples": 64, "candidates": {}}
-    sensors = {"rate_rad_s": {"noise": 0.15}, "D_moment_x_Nm": {"noise": 0.1, "offset": 0.2}}
+    del content["identification"]["correction"]
+    sensors = {"rate_rad_s": {"noise": 0.15}, "D_moment_z_Nm": {"noise": 0.1, "offset": 0.2}}
     content["identification"]["signals"] = sensors
     text = "\n".join(f"{key} = {to_toml(value)}" for key, value in content.items())
     (tmp_path / "study.toml").write_text(text, encoding="utf-8")
@@ -173,6 +174,20 @@ def test_identify_misassembly(run_program, run_command, tmp_path):
     sign = np.sign(tilt["estimate"])  # over so short a time it is open
     assert sign * tilt["estimate"] == pytest.approx(np.radians(0.2), abs=3.0 * tilt["deviation"])
     assert tilt["deviation"] < 0.3 * tilt["prior_deviation"]
+
+
+@pytest.mark.long
+def test_identify_misassembly_corrects_the_machine(run_program, run_command):
+    """The whole study; the true machine, which the estimate does not know, keeps what every correction promises."""
+    text = (STUDIES / "identify_misassembly" / "study.toml").read_text(encoding="utf-8")
+    data = STUDIES / "identify_misassembly" / "measured.csv"
+    out, _ = run_command("identify", text, "--data", data)
+    correction = json.loads((out / "identification.json").read_text())["correction"]
+    before, *_, together = correction["outcomes"]
+    assert correction["status"] == "ok" and together["mean"] < 0.1 * before["mean"]
+    assert before["broken"]["D.rms_moment"] > 0.99 and together["broken"]["D.rms_moment"] < 0.01
+    said = run_program("studies/identify_misassembly/verify.py", out)
+    assert said.count(": kept") == 5 and "not kept" not in said
 
 
 @pytest.mark.slow

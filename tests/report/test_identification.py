@@ -35,6 +35,20 @@ A_force_x_N = { noise = 0.3, offset = "1 N" }
 [identification.candidates]
 D_force_y_N = { noise = 0.1 }
 """
+CORRECTION = """
+[identification.correction]
+metric = "D.rms_moment"
+limits = { "D.rms_moment" = 0.05 }
+[identification.correction.adjustments]
+"D.delta_x" = ["-0.2 deg", "0.2 deg"]
+"D.d_y" = ["-0.2 mm", "0.1 mm"]
+"""
+
+
+def load(errors):
+    """A metric that both errors together make."""
+    tilt, shift = (errors[name] / size for name, size in (("D.delta_x", 2e-3), ("D.d_y", 1e-4)))
+    return {"D.rms_moment": jnp.sqrt(1e-4 + (0.2 * tilt + 0.3 * shift) ** 2 + (0.5 * shift) ** 2)}
 
 
 def signals(errors):
@@ -49,6 +63,8 @@ def signals(errors):
 
 
 def build(study, metrics, model=None, trials=None):
+    if "D.rms_moment" in metrics:
+        return FunctionProblem(load, tuple(TRUTH), [Metric("D.rms_moment", "N m")], error_units={"D.d_y": "m"})
     names = ["time_s", *(one.name for one in metrics)]
     return FunctionProblem(
         lambda errors: {name: signals(errors)[name] for name in names}, tuple(TRUTH),
@@ -78,7 +94,7 @@ def test_errors_are_identified_written_and_drawn(path, tmp_path, capsys):
     assert main(["identify", str(path), "--out", str(out)]) == 0
     assert {one.name for one in out.iterdir()} == {
         *("identification.csv", "identification.json", "identification_curves.csv", "report.html"),
-        *("identification_curves.png", "identification_errors.png"),
+        *("identification_curves.png", "identification_errors.png", "identification_posterior.png"),
     }
     found = json.loads((out / "identification.json").read_text(encoding="utf-8"))
     assert found["status"] == "ok" and found["intervals_by"] == "laplace"
@@ -114,6 +130,101 @@ def test_the_pictures_show_what_was_measured_and_found(path, tmp_path):
     axes = figures["identification_errors"].axes[0]
     np.testing.assert_allclose(axes.lines[0].get_xdata(), result.estimate / result.prior_deviation)
     assert [one.get_width() for one in axes.patches] == pytest.approx([6.0, 6.0])  # tolerances of 3 deviations
+
+
+def test_a_correction_is_written_told_and_drawn(path, tmp_path, capsys):
+    path.write_text(STUDY + TABLES + CORRECTION, encoding="utf-8")
+    study, out = load_study(path), tmp_path / "out"
+    assert main(["identify", str(path), "--out", str(out)]) == 0
+    found = json.loads((out / "identification.json").read_text(encoding="utf-8"))["correction"]
+    rows = rows_of(out / "identification_correction.csv")
+    assert [row["correction"] for row in rows] == ["as it is", "D.delta_x", "D.d_y", "all together"]
+    for row, one in zip(rows, found["outcomes"], strict=True):
+        assert float(row["mean"]) == pytest.approx(one["mean"])
+        assert float(row["amount_D.d_y"]) == pytest.approx(one["amounts"][1])
+        assert float(row["broken_D.rms_moment"]) == pytest.approx(one["broken"]["D.rms_moment"])
+        true = float(
+            load({name: value + one["amounts"][i] for i, (name, value) in enumerate(TRUTH.items())})["D.rms_moment"]
+        )
+        assert one["low"] < true < one["high"]
+        values, below = one["distribution"]["values"], one["distribution"]["below"]
+        assert (np.diff(values) >= 0.0).all() and below[-1] == pytest.approx(1.0) and len(values) <= 200
+    # The shift alone does most; it undoes the tilt's part, too: 0.2 tilt + 0.3 shift and 0.5 shift are least together.
+    tilt = found["outcomes"][0]["mean"]
+    assert found["best"] == "D.d_y" and tilt > found["outcomes"][2]["mean"] > found["outcomes"][3]["mean"]
+    undone = np.array(found["outcomes"][3]["amounts"]) + list(TRUTH.values())
+    assert (np.abs(undone) < [6e-5, 1.8e-5]).all()  # three standard deviations of what is known
+    printed = capsys.readouterr().out
+    assert "Correction: status ok" in printed and "The best single adjustment: D.d_y by" in printed
+    report = report_on(study, "identification")
+    result = report.run(tmp_path)
+    (axes,) = report.pictures(result)["identification_correction"].axes
+    assert axes.lines[0].get_label() == "as it is" and len(axes.lines) == 3
+    posterior = report.pictures(result)["identification_posterior"].axes[2].lines[0]
+    assert np.mean(posterior.get_xdata()) == pytest.approx(np.degrees(result.estimate[0]), abs=2e-4)
+    assert "correction: D.rms_moment by D.delta_x, D.d_y" in tasks_text(study)
+
+
+def measure_machines(path, count=12):
+    """One file with the column `machine`; the last one has noise that the sensors cannot have."""
+    rng = np.random.default_rng(2)
+    rows = ["machine, time_s, rate_rad_s, A_force_x_N"]
+    for number in range(count):
+        truth = {
+            name: size * z
+            for (name, size), z in zip((("D.delta_x", 1e-3), ("D.d_y", 6e-5)), rng.normal(size=2), strict=True)
+        }
+        values, noise = signals(truth), 5.0 if number == count - 1 else 1.0
+        for k in range(1, 100):
+            rate = float(values["rate_rad_s"][k]) + 0.02 * noise * rng.normal()
+            force = float(values["A_force_x_N"][k]) + 0.3 * noise * rng.normal()
+            rows.append(f"no {number}, {TIMES[k]:.3f}, {rate:.5f}, {force:.5f}")
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+
+
+def test_several_machines_tell_the_errors_of_production(path, tmp_path, capsys):
+    measure_machines(tmp_path / "measured.csv")
+    out = tmp_path / "out"
+    assert main(["identify", str(path), "--out", str(out)]) == 0
+    assert {one.name for one in out.iterdir()} == {
+        *("identification.csv", "identification.json", "identification_machines.csv", "identification_production.png"),
+        *("identification_tolerances.toml", "report.html"),
+    }
+    found = json.loads((out / "identification.json").read_text(encoding="utf-8"))
+    for row, true in zip(rows_of(out / "identification.csv"), (1e-3, 6e-5), strict=True):
+        assert float(row["deviation_low"]) < true < float(row["deviation_high"]) and float(row["mean_low"]) < 0.0
+    machines = rows_of(out / "identification_machines.csv")
+    assert [row["status"] for row in machines] == ["ok"] * 11 + ["misfit"] and machines[-1]["machine"] == "no 11"
+    printed = capsys.readouterr().out
+    assert "Production, from 11 machines: status ok" in printed and "Left out (1 misfit): no 11." in printed
+    lines = (out / "identification_tolerances.toml").read_text(encoding="utf-8")
+    assert lines in found["tolerances"] and lines.splitlines()[0] in printed
+    again = tmp_path / "again.toml"
+    again.write_text(STUDY + lines, encoding="utf-8")
+    specified = load_study(again).tasks.tolerances
+    assert specified.half_widths()["D.delta_x"] == pytest.approx(3.0 * found["errors"][0]["deviation"], rel=1e-4)
+    figure = report_on(load_study(path), "identification")
+    (axes, _) = figure.pictures(figure.run(tmp_path))["identification_production"].axes
+    assert len(axes.lines[-1].get_xdata()) == 11
+
+
+def test_tables_of_machines_that_cannot_be_read(path, tmp_path, capsys):
+    measure_machines(tmp_path / "measured.csv", count=2)
+    run = ["identify", str(path), "--out", str(tmp_path / "out")]
+    assert main(run) == 2 and "`machines` must be at least 3" in capsys.readouterr().err
+    text = (tmp_path / "measured.csv").read_text(encoding="utf-8")
+    (tmp_path / "measured.csv").write_text(text.replace("no 1, 0.010", ", 0.010"), encoding="utf-8")
+    assert main(run) == 2 and "`machine` of row 102" in capsys.readouterr().err
+    path.write_text(STUDY + TABLES + CORRECTION, encoding="utf-8")
+    measure_machines(tmp_path / "measured.csv", count=3)
+    assert main(run) == 2 and "`correction` must be of one machine" in capsys.readouterr().err
+
+
+def test_a_correction_on_doubtful_errors_is_no_success(path, tmp_path, capsys):
+    measure(tmp_path / "measured.csv", noise=3.0)
+    path.write_text(STUDY + TABLES + CORRECTION, encoding="utf-8")
+    assert main(["identify", str(path), "--out", str(tmp_path / "out")]) == 3
+    assert "Correction: status doubtful" in capsys.readouterr().out
 
 
 def test_other_data_and_a_model_that_does_not_explain_them(path, tmp_path, capsys):
@@ -158,12 +269,19 @@ def test_check_says_what_is_asked(path):
         ('"0.02 rad/s"', "-0.02", ("[identification.signals.rate_rad_s]", "`noise`", "negative")),
         ('"0.02 rad/s"', "0.0", ("[identification]", "`noise` of `rate_rad_s`", "positive")),
         ("D_force_y_N = { noise = 0.1 }", "D_force_y_N = {}", ("[identification]", "`candidates`", "`D_force_y_N`")),
+        ('"D.rms_moment"\n', '"D.rms_momnt"\n', ("[identification.correction]", "`D.rms_moment`")),
+        ('"D.rms_moment"\n', '"Q.rms_moment"\n', ("`identification`", "`Q`")),
+        ('"D.rms_moment"\n', '"*.rms_moment"\n', ("[identification.correction]", "`metric`")),
+        ('"D.d_y" = ["-0.2 mm"', '"Q.d_y" = ["-0.2 mm"', ("`identification`", "`Q.d_y`")),
+        ('"D.d_y" = ["-0.2 mm"', '"D.d_y" = ["0.02 mm"', ("[identification.correction]", "`adjustments`", "0 among")),
+        ('["-0.2 mm", "0.1 mm"]', '["0.2 mm", "0.1 mm"]', ("[identification.correction]", "`adjustments`", "rise")),
+        ("limits = {", "limit = {", ("[identification.correction]", "`limits`")),
         ("noise = 0.3", "nose = 0.3", ("[identification.signals.A_force_x_N]", "`nose`", "`noise`")),
     ],
 )
 def test_wrong_tables_are_refused_in_a_sentence(before, after, words, path, refused):
     tables = TABLES if before != "starts = 4" or "data" not in after else TABLES.replace('data = "measured.csv"\n', "")
-    path.write_text(STUDY + tables.replace(before, after), encoding="utf-8")
+    path.write_text(STUDY + (tables + CORRECTION).replace(before, after), encoding="utf-8")
     with refused(*words):
         load_study(path)
 

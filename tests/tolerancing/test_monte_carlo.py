@@ -24,6 +24,7 @@ from rfem_jax import (
     expand,
     monte_carlo,
 )
+from rfem_jax.tolerancing.identification.predictions import Predictor
 from rfem_jax.tolerancing.problems import execution
 from rfem_jax.tolerancing.problems.linearisation import linearise_points
 
@@ -297,7 +298,7 @@ folder, port, process = sys.argv[1], sys.argv[2], int(sys.argv[3])
 if port != "0":
     jax.distributed.initialize(f"127.0.0.1:{{port}}", num_processes=2, process_id=process)
 import numpy as np
-from test_monte_carlo import KEY, TOLERANCES, VIBRATION, monte_carlo
+from test_monte_carlo import KEY, TOLERANCES, VIBRATION, monte_carlo, signals_with_slopes
 study = monte_carlo(VIBRATION, TOLERANCES, 150, KEY, batch=20, resume=folder)
 from rfem_jax.tolerancing.problems.evaluation import evaluate_points
 from rfem_jax.tolerancing.problems.linearisation import linearise_points
@@ -306,9 +307,19 @@ programs = statistics.traced
 np.testing.assert_array_equal(evaluate_points(VIBRATION, TOLERANCES.names, {{}}, study.errors)[0], study.values)
 assert statistics.traced == programs > 0
 _, jacobians, _ = linearise_points(VIBRATION, TOLERANCES.names, {{}}, study.errors)
-np.savez(f"{{folder}}-{{process}}.npz", errors=study.errors, values=study.values, jacobians=jacobians)
+found = dict(zip(("signals", "slopes"), signals_with_slopes(study.errors)), jacobians=jacobians)
+np.savez(f"{{folder}}-{{process}}.npz", errors=study.errors, values=study.values, **found)
 print(len(jax.local_devices()), jax.process_count(), study.chunks_computed)
 """
+
+
+def signals_with_slopes(errors):
+    """What an identification computes: signals at 7 points (T = 1), and their derivatives."""
+    problem = FunctionProblem(lambda e: jax.tree.map(lambda one: one[None], vibration(e)), NAMES, ("end", "square"))
+    signals = Predictor(problem, ("square", "end"), TOLERANCES.names, {}, times=[0.0])
+    plain, found = (signals.at(errors[:7], derivatives=one) for one in (False, True))
+    np.testing.assert_allclose(plain.values, found.values, rtol=1e-13)
+    return found.values, found.derivatives
 
 
 def start(folder, port, process, devices):
@@ -338,6 +349,8 @@ def test_processes_and_devices_give_the_one_process_result(tmp_path):
         pytest.skip("the processes of this test run on the CPU")
     reference = monte_carlo(VIBRATION, TOLERANCES, 150, KEY, batch=20)
     _, jacobians, _ = linearise_points(VIBRATION, TOLERANCES.names, {}, reference.errors)
+    signals, slopes = signals_with_slopes(reference.errors)
+    np.testing.assert_allclose(slopes[:, ::-1, 0], jacobians[:7], rtol=1e-12)
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -350,6 +363,8 @@ def test_processes_and_devices_give_the_one_process_result(tmp_path):
         np.testing.assert_array_equal(found["errors"], reference.errors)
         np.testing.assert_array_equal(found["values"], reference.values)
         np.testing.assert_allclose(found["jacobians"], jacobians, rtol=1e-12, atol=1e-12 * np.abs(jacobians).max())
+        np.testing.assert_allclose(found["signals"], signals, rtol=1e-12)
+        np.testing.assert_allclose(found["slopes"], slopes, rtol=1e-12, atol=1e-12 * np.abs(slopes).max())
     for index in range(8):  # the files too: a study may go on with another number of processes
         name = f"chunk-{index:06d}.npz"
         one, two = (tmp_path / kind / name for kind in ("processes", "devices"))

@@ -79,6 +79,8 @@ def study_schema() -> Schema:
         for key in ("signals", "candidates"):
             if f"[{name}.{key}.COLUMN]" in by_header:
                 within[key] = _named([one(f"[{name}.{key}.COLUMN]")])
+        if f"[{name}.correction]" in by_header:
+            within["correction"] = one(f"[{name}.correction]")
         own[name] = one(f"[{name}]", within)
     schema = one("top level", own)
     schema["required"] = [name for name in schema["required"] if name != "simulation"]

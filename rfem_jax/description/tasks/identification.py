@@ -22,6 +22,8 @@ from rfem_jax.description.basics.errors import (
 )
 from rfem_jax.description.basics.tables import keys_of, read_table
 from rfem_jax.description.basics.units import DIMENSIONS, Quantity, quantity
+from rfem_jax.description.mechanism.mechanism import Mechanism
+from rfem_jax.description.tasks.correction import AskedCorrection
 from rfem_jax.description.tasks.settings import MOST_SAMPLES, convert_all, fraction, set_fields, whole_number
 from rfem_jax.description.tasks.sweep import bounds_of
 from rfem_jax.description.tasks.task import Task
@@ -94,6 +96,7 @@ class IdentificationTask(Task):
         iterations: the most steps of each search.
         samples: simulations of the importance sampling that checks the intervals.
         seed: of starts and samples.
+        correction: which adjustment of the machine is looked for, if any.
     Raises: InputError for settings that are out of range or do not fit each other.
     """
 
@@ -113,6 +116,7 @@ class IdentificationTask(Task):
     iterations: int = 60
     samples: int = 256
     seed: int = 0
+    correction: AskedCorrection | None = None
 
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("signals", sensors_of, "signals")
@@ -150,7 +154,8 @@ class IdentificationTask(Task):
     @classmethod
     def tables(cls, header: str) -> list[tuple[str, type, Collection[str], Collection[str]]]:
         inner = [f"{header[:-1]}.{name}.COLUMN]" for name in SENSOR_TABLES]
-        return [*super().tables(header), *((one, Sensor, *keys_of(Sensor)) for one in inner)]
+        correction = f"{header[:-1]}.correction]", AskedCorrection, *keys_of(AskedCorrection)
+        return [*super().tables(header), *((one, Sensor, *keys_of(Sensor)) for one in inner), correction]
 
     @classmethod
     def read(cls, table: object, place: str, tolerances: SpecifiedTolerances | None) -> "IdentificationTask":
@@ -165,10 +170,19 @@ class IdentificationTask(Task):
                             column: read_table(Sensor, one, f"{place[:-1]}.{name}.{column}]")
                             for column, one in table[name].items()
                         }
+            if "correction" in table:
+                with problems.noted():
+                    read["correction"] = read_table(AskedCorrection, table["correction"], f"{place[:-1]}.correction]")
         problems.refuse()
         task: Any = super().read(read, place, tolerances)
         with located(place):
             return task.with_unknowns(tolerances)
+
+    def resolved(self, mechanism: Mechanism, name: str) -> "Task":
+        """As `Task.resolved`; what a correction adjusts and reduces must be there, too."""
+        if self.correction is not None:
+            self.correction.require_known(mechanism, name)
+        return super().resolved(mechanism, name)
 
     def with_unknowns(self, tolerances: SpecifiedTolerances | None) -> "IdentificationTask":
         """The same task with its unknowns named. Raises InputError where they have neither tolerances nor bounds."""

@@ -92,11 +92,12 @@ class SweepTask(Task):
         return replace(task, bounds={name: pair for name, pair in ends.items() if name not in task.at})
 
 
-def bounds_of(bounds: Any) -> dict[str, tuple[float, float]]:
-    """{error: (low, high)} in rad and m, of pairs of numbers or strings with a unit. Raises InputError."""
+def bounds_of(bounds: Any, what: str = "bounds") -> dict[str, tuple[float, float]]:
+    """{error: (low, high)} in rad and m, of pairs of numbers or strings with a unit; what: the
+    argument that they are. Raises InputError."""
     if not isinstance(bounds, dict):
         raise InputError(
-            f"Argument `bounds` must be a table of errors and their ranges, but was {bounds!r}; "
+            f"Argument `{what}` must be a table of errors and their ranges, but was {bounds!r}; "
             'write for example { "D.delta_x" = ["-0.5 deg", "0.5 deg"] }.'
         )
     found, problems = {}, Problems()
@@ -104,13 +105,13 @@ def bounds_of(bounds: Any) -> dict[str, tuple[float, float]]:
         with problems.noted():
             if not isinstance(pair, (list, tuple)) or len(pair) != 2:
                 raise InputError(
-                    f"Argument `bounds` must give [low, high], but `{name}` has {pair!r}; "
+                    f"Argument `{what}` must give [low, high], but `{name}` has {pair!r}; "
                     'write for example ["-0.5 deg", "0.5 deg"].'
                 )
-            low, high = (error_quantities({name: end}, "bounds")[name] for end in pair)
+            low, high = (error_quantities({name: end}, what)[name] for end in pair)
             if not low < high:
                 raise InputError(
-                    f"Argument `bounds` must rise from low to high, but `{name}` has {pair!r}; swap its ends."
+                    f"Argument `{what}` must rise from low to high, but `{name}` has {pair!r}; swap its ends."
                 )
             found[name] = (low, high)
     problems.refuse()

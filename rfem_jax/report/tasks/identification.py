@@ -4,7 +4,8 @@ Place in the pipeline: `rfem_jax.description.tasks.identification` -> **identifi
 pictures.
 """
 
-from dataclasses import asdict
+from collections.abc import Callable
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,16 @@ from rfem_jax.report.annotations import Figure
 from rfem_jax.report.output import write_csv
 from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles, new_figure, panel_grid
 from rfem_jax.report.tasks import study_problem
+from rfem_jax.report.tasks.decisions import (
+    corrected,
+    correction_content,
+    correction_figure,
+    posterior_figure,
+    posterior_samples,
+    production_content,
+    production_figure,
+    production_of,
+)
 from rfem_jax.report.tasks.task_report import GRADIENT, TaskReport, as_stage
 from rfem_jax.tolerancing.identification.identification_result import (
     Curve,
@@ -29,20 +40,23 @@ from rfem_jax.tolerancing.identification.identification_result import (
     visibility_content,
 )
 from rfem_jax.tolerancing.identification.identification_study import identifiability, identify
+from rfem_jax.tolerancing.identification.measurements import Data, machines_in
+from rfem_jax.tolerancing.identification.production_result import Production
 from rfem_jax.tolerancing.identification.signals import signal
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
+from rfem_jax.tolerancing.progress import ProgressOption
 
 SHOWN = 400  # samples of a curve on the page
 MOST_PANELS = 8
 USUAL_STEPS = 12  # of searches
-Result = Identification | Identifiability
+Result = Identification | Identifiability | Production
 
 
 class IdentificationReport(TaskReport[IdentificationTask, Result]):
     """Errors from measurements; without measurements what they could tell."""
 
     def run(self, folder: Path) -> Result:
-        """The errors, or without data what the signals can tell of them.
+        """The errors, of several machines their distribution, or without data what the signals can tell of them.
 
         Raises: InputError for data that cannot be used, and for a mechanism at rest.
         """
@@ -62,12 +76,31 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
         if not task.data:
             on_stage("Finding what signals can tell")
             return identifiability(problem, {**task.signals, **task.candidates}, points=2 * task.starts, **common)
-        with located("[identification]"):
+
+        def find(data: Data, progress: ProgressOption = False) -> Identification:
             return identify(
-                problem, self.data_path, task.signals, candidates=task.candidates, loss=task.loss,
+                problem, data, task.signals, candidates=task.candidates, loss=task.loss,
                 confidence=task.confidence, starts=task.starts, iterations=task.iterations, samples=task.samples,
-                progress=as_stage(f"Searching {len(task.unknowns)} unknowns"), **common,
+                progress=progress, **common,
             )  # fmt: skip
+
+        with located("[identification]"):
+            machines = machines_in(self.data_path, task.signals)
+            if len(machines) > 1:
+                return self._production(machines, find)
+            found = find(self.data_path, as_stage(f"Searching {len(task.unknowns)} unknowns"))
+            if task.correction is None:
+                return found
+            return replace(found, correction=corrected(study, task.correction, task.at, found))
+
+    def _production(self, machines: dict[str, Data], find: Callable[[Data], Identification]) -> Production:
+        """What several machines say of production. Raises: InputError."""
+        if self.task.correction is not None:
+            raise InputError(
+                f"Argument `correction` must be of one machine, but the data have {len(machines)}; leave out the table "
+                "[identification.correction], or the rows of other machines."
+            )
+        return production_of(machines, find, self.task.confidence)
 
     @property
     def data_path(self) -> Path:
@@ -78,6 +111,8 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
     def write(self, folder: Path, result: Result) -> list[Path]:
         """Write identification.json, identification.csv (one row per unknown; `unit` is that of all its numbers but
         probabilities) and identification_curves.csv (every sample: measured, simulated before and after)."""
+        if isinstance(result, Production):
+            return self._write_production(folder, result)
         units = dict(zip(result.names, result.error_units, strict=True))
         visibility = visibility_content(result.visibility)
         if isinstance(result, Identifiability):
@@ -97,6 +132,8 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
             "departure": result.departure,
             "signals": [asdict(one) for one in result.signals],
             "curves": [_thinned(one) for one in result.curves],
+            "samples": posterior_samples(result),
+            "correction": correction_content(result.correction),
             "visibility": visibility,
             "remarks": list(result.remarks),
             "steps": result.steps,
@@ -105,12 +142,24 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
         }
         columns = {one.column: unit_of_column(one.column) for one in result.curves}
         written = self.write_both(folder, content, result.rows())
-        rows = curve_rows(result.curves, columns)
-        return [*written, write_csv(folder / f"{self.name}_curves.csv", rows)] if rows else written
+        rows = {"curves": curve_rows(result.curves, columns)}
+        rows["correction"] = [] if result.correction is None else result.correction.rows()
+        return [*written, *(write_csv(folder / f"{self.name}_{of}.csv", some) for of, some in rows.items() if some)]
+
+    def _write_production(self, folder: Path, result: Production) -> list[Path]:
+        """Also identification_machines.csv, a row per machine, and identification_tolerances.toml."""
+        written = self.write_both(folder, production_content(result), result.rows())
+        written.append(write_csv(folder / f"{self.name}_machines.csv", result.machine_rows()))
+        lines = folder / f"{self.name}_tolerances.toml"
+        lines.write_text(result.lines(), encoding="utf-8")
+        return [*written, lines]
 
     def succeeded(self, result: Result) -> bool:
         """Also where several sets of errors explain the data: all of them are told."""
-        return result.status in ("ok", "ambiguous")
+        if result.status not in ("ok", "ambiguous"):
+            return False
+        correction = result.correction if isinstance(result, Identification) else None
+        return correction is None or correction.status in ("ok", "no_gain")
 
     def simulations(self) -> list[str]:
         task = self.task
@@ -120,6 +169,7 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
             f"{task.starts} with derivatives in every step of the searches, of which there are usually about "
             f"{USUAL_STEPS}",
             f"{task.samples} that check the intervals",
+            *self._of_correction(),
         ]
 
     def work(self) -> float:
@@ -127,18 +177,37 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
         steps = USUAL_STEPS if task.data else 2
         return GRADIENT * task.starts * steps + (task.samples if task.data else 0)
 
+    def _of_correction(self) -> list[str]:
+        asked = self.task.correction
+        if asked is None:
+            return []
+        outcomes = len(asked.adjustments) + min(len(asked.adjustments), 2)
+        return [
+            f"{self.task.samples * outcomes} of machines before and after corrections, and up to "
+            f"{asked.points * asked.steps * (outcomes - 1)} with derivatives to find these"
+        ]
+
     def setting_text(self, name: str, value: Any) -> str:
         """Sensors in words."""
         if name in ("signals", "candidates"):
             return ", ".join(f"{column} {_sensor(one, unit_of_column(column))}" for column, one in value.items())
         if name == "bounds":
             return ", ".join(f"{error} {low:g} to {high:g} (SI)" for error, (low, high) in value.items())
+        if name == "correction":
+            return f"{value.metric} by {', '.join(value.adjustments)}"
         return value if name == "data" else super().setting_text(name, value)
 
     def draw(self, result: Result) -> dict[str, Figure]:
+        if isinstance(result, Production):
+            return {"production": production_figure(self.study, result)} if result.machines else {}
         if isinstance(result, Identifiability) or not result.curves:
             return {}
-        return {"curves": curves_figure(self.study, result), "errors": errors_figure(self.study, result)}
+        figures = {"curves": curves_figure(self.study, result), "errors": errors_figure(self.study, result)}
+        if len(result.weights):
+            figures["posterior"] = posterior_figure(self.study, result)
+        if result.correction is not None and result.correction.status != "failed":
+            figures["correction"] = correction_figure(self.study, result.correction)
+        return figures
 
 
 def _sensor(one: Sensor, unit: str) -> str:

@@ -226,6 +226,15 @@ def scatter_matrix_figure(study: Study, result: MonteCarloResult) -> Figure:
     """Every pair of errors and metrics (four of each, the errors that matter most): points below, rank correlations
     above, histograms on the diagonal."""
     names, samples = _columns(result)
+    left_out = len(result.names) + len(result.metrics) - len(names)
+    heading = "Errors and metrics of all samples; above the diagonal rank correlations"
+    if left_out:
+        heading += f" ({left_out} more are in the CSV)"
+    return scatter_matrix(study, names, samples, heading)
+
+
+def scatter_matrix(study: Study, names: list[str], samples: Float[np.ndarray, "n p"], heading: str) -> Figure:
+    """Every pair of p numbers: points below, rank correlations above, histograms on the diagonal."""
     size = len(names)
     figure = new_figure(1.35 * size + 1.0, 1.35 * size + 1.4)
     panels = figure.subplots(size, size, squeeze=False)
@@ -253,10 +262,6 @@ def scatter_matrix_figure(study: Study, result: MonteCarloResult) -> Figure:
             if column == 0:
                 axes.set_ylabel(names[row], fontsize=8)
             axes.locator_params(nbins=3)
-    left_out = len(result.names) + len(result.metrics) - size
-    heading = "Errors and metrics of all samples; above the diagonal rank correlations"
-    if left_out:
-        heading += f" ({left_out} more are in the CSV)"
     add_titles(figure, heading, study)
     return figure
 

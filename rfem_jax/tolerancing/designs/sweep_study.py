@@ -263,22 +263,24 @@ def read_fixed(problem: ToleranceProblem, at: ErrorValues | None, names: tuple[s
     return fixed
 
 
-def read_bounds(problem: ToleranceProblem, bounds: Bounds) -> tuple[tuple[str, ...], list[tuple[float, float]]]:
-    """Names and (low, high) [rad, m] of ranges. Raises InputError."""
+def read_bounds(
+    problem: ToleranceProblem, bounds: Bounds, what: str = "bounds"
+) -> tuple[tuple[str, ...], list[tuple[float, float]]]:
+    """Names and (low, high) [rad, m] of ranges, of the argument `what`. Raises InputError."""
     if not isinstance(bounds, Mapping) or not bounds:
         raise InputError(
-            f"Argument `bounds` must map errors to (low, high), but it is {bounds!r}; "
+            f"Argument `{what}` must map errors to (low, high), but it is {bounds!r}; "
             'write {"D.delta_x": ("-0.5 deg", "0.5 deg")}.'
         )
-    check_variables(bounds, problem, "bounds")
+    check_variables(bounds, problem, what)
     ends = []
     for name, pair in bounds.items():
         if not isinstance(pair, (tuple, list)) or len(pair) != 2:
-            raise InputError(f"Argument `bounds` must have pairs (low, high), but `{name}` has {pair!r}; write both.")
-        low, high = (error_value(end, problem.error_unit(name), f"`{name}` of `bounds`") for end in pair)
+            raise InputError(f"Argument `{what}` must have pairs (low, high), but `{name}` has {pair!r}; write both.")
+        low, high = (error_value(end, problem.error_unit(name), f"`{name}` of `{what}`") for end in pair)
         if not (np.isfinite(low) and np.isfinite(high) and low < high):
             raise InputError(
-                f"Argument `bounds` must rise from low to high, but `{name}` has {pair!r}; swap or correct its ends."
+                f"Argument `{what}` must rise from low to high, but `{name}` has {pair!r}; swap or correct its ends."
             )
         ends.append((low, high))
     return tuple(bounds), ends

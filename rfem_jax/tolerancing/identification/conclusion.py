@@ -72,7 +72,7 @@ def conclude(
         _without(residuals, searches, confidence, samples), status=status, method=method,
         modes=tuple(ModeFound(residuals.prior.errors(m.theta[:k]), m.cost, m.probability) for m in modes),
         effective=0.0 if drawn is None else drawn.effective, departure=far, signals=tuple(signals), visibility=seen,
-        curves=tuple(_curves(residuals, searches, best)), remarks=tuple(remarks), **found,
+        **_samples(residuals, drawn), curves=tuple(_curves(residuals, searches, best)), remarks=tuple(remarks), **found,
     )  # fmt: skip
 
 
@@ -83,9 +83,21 @@ def _without(residuals: Residuals, searches: Searches, confidence: float, sample
         names=prior.names, error_units=prior.units, estimate=nan, deviation=nan, low=nan, high=nan,
         covariance=np.outer(nan, nan), prior_mean=prior.mean, prior_deviation=prior.deviations,
         tolerances=prior.tolerances, beyond=nan, confidence=confidence, status="failed", method="laplace", modes=(),
-        effective=0.0, samples=samples, departure=np.inf, signals=(), curves=(), visibility=None, remarks=(),
+        effective=0.0, samples=samples, departure=np.inf, sampled=np.zeros((0, len(nan))), weights=np.zeros(0),
+        prior_precision=prior.precision, signals=(), curves=(), visibility=None, remarks=(),
         steps=searches.steps, starts=len(searches.theta), converged=int(searches.converged.sum()),
     )  # fmt: skip
+
+
+def _samples(residuals: Residuals, drawn: Sampled | None) -> dict[str, Any]:
+    """Samples of the posterior that weigh something."""
+    if drawn is None:
+        return {}
+    kept = drawn.weights > 0.0
+    return {
+        "sampled": residuals.prior.errors(drawn.theta[kept, : len(residuals.prior.names)]),
+        "weights": drawn.weights[kept],
+    }
 
 
 def _status(searches: Searches, modes: list[Mode], signals: list[SignalFit], sampled: bool) -> str:

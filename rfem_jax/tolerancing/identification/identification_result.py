@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.labelled_data import Arrays, Labelled, LabelledResult, Parts, Table, column_name, named_dimension
+from rfem_jax.tolerancing.identification.correction_result import Correction, percent
 from rfem_jax.tolerancing.identification.fit_tests import SignalFit
 from rfem_jax.tolerancing.identification.observability import Visibility, combination
 from rfem_jax.tolerancing.layout import show_error, show_number
@@ -164,8 +165,10 @@ class Identification(_OfVisibility):
     is beyond its tolerance;
     status: see `message`; method of the intervals: "laplace" or "importance"; modes: `ModeFound`s, the estimate first;
     effective: number of effective samples, of `samples`; departure: of these from the normal approximation (17.8);
+    sampled (N, k) [rad, m], weights (N,): samples of the posterior, none where there is no mode;
+    prior_precision (k, k): zero where the prior is flat;
     signals: `SignalFit`s; curves: `Curve`s; visibility: at the estimate; remarks: further sentences; steps: of the
-    longest search; converged: searches, of `starts`.
+    longest search; converged: searches, of `starts`; correction: what `correct` made of it, if a study asked for one.
     """
 
     names: tuple[str, ...]
@@ -186,6 +189,9 @@ class Identification(_OfVisibility):
     effective: float
     samples: int
     departure: float
+    sampled: Float[np.ndarray, "N k"]
+    weights: Float[np.ndarray, " N"]
+    prior_precision: Float[np.ndarray, "k k"]
     signals: tuple[SignalFit, ...]
     curves: tuple[Curve, ...]
     visibility: Visibility | None
@@ -193,6 +199,7 @@ class Identification(_OfVisibility):
     steps: int
     starts: int
     converged: int
+    correction: Correction | None = None
 
     index = ("error",)
 
@@ -256,6 +263,7 @@ class Identification(_OfVisibility):
         if len(self.modes) > 1:
             rows = [[show_number(one.probability, 3), *self._shown(one.errors)] for one in self.modes]
             parts += ["", "Sets of errors that explain the data", Table(["probability", *self.names], rows, words=())]
+        parts += [] if self.correction is None else ["", *self.correction.parts()]
         return [*parts, *self._visibility_parts("What the signals tell, at the estimate")]
 
     def _shown(self, errors: Float[np.ndarray, " k"], digits: int = 4) -> list[str]:
@@ -267,7 +275,7 @@ class Identification(_OfVisibility):
             self._shown(x, d)
             for x, d in ((self.estimate, 4), (self.deviation, 2), (self.low, 4), (self.high, 4), (width, 4))
         ]
-        beyond = [_percent(one) for one in self.beyond]
+        beyond = [percent(one) for one in self.beyond]
         interval = f"{100.0 * self.confidence:g} % interval"
         header = ["error", "estimate", "deviation", f"{interval} from", "to", "tolerance +-", "beyond it"]
         return Table(header, [list(row) for row in zip(self.names, *columns, beyond, strict=True)])
@@ -288,12 +296,6 @@ class Identification(_OfVisibility):
             rows.append([name, str(one.samples), *shown])
         header = ["signal", "samples", "noise", "RMS before", "after", "chi^2 per freedom", "white by chance"]
         return Table([*header, "shift s", "offset", "gain"], rows)
-
-
-def _percent(part: float) -> str:
-    if not np.isfinite(part):
-        return "-"
-    return "< 0.001 %" if part < 1e-5 else f"{100.0 * part:.3g} %"
 
 
 def visibility_content(seen: Visibility | None) -> dict[str, Any] | None:

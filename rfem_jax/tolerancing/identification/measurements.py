@@ -15,6 +15,7 @@ from jaxtyping import Float
 from rfem_jax.description.basics.errors import InputError, suggestion
 from rfem_jax.description.tasks.identification import TIME, Sensors, sensors_of
 
+MACHINE = "machine"  # column of a file with several machines
 FEWEST = 4  # samples of a signal
 Data = str | Path | Mapping[str, Any]
 
@@ -73,7 +74,38 @@ def _require_columns(names: Iterable[str], known: Any, where: str) -> None:
             )
 
 
+def machines_in(path: Path, columns: Iterable[str]) -> dict[str, Data]:
+    """{machine: its data}, as `identify` takes them, of a CSV file with the column `machine`; none without it. Raises
+    InputError as `read_data`."""
+    header, rows = _table(path)
+    if MACHINE not in header:
+        return {}
+    place, by_machine = header.index(MACHINE), {}
+    for number, row in enumerate(rows, start=2):
+        name = row[place].strip() if place < len(row) else ""
+        if not name:
+            raise InputError(
+                f"Argument `data` must say of which machine a row is, but `{MACHINE}` of row {number} of `{path}` is "
+                "empty; write a name or a number."
+            )
+        by_machine.setdefault(name, []).append((number, row))
+    columns = list(columns)
+    found: dict[str, Data] = {}
+    for name, some in by_machine.items():
+        found[name] = {
+            column: (np.array(times), np.array(values))
+            for column, (times, values) in _signals(path, header, some, columns).items()
+        }
+    return found
+
+
 def _of_file(path: Path, columns: list[str]) -> dict[str, tuple[list[float], list[float]]]:
+    header, rows = _table(path)
+    return _signals(path, header, list(enumerate(rows, start=2)), columns)
+
+
+def _table(path: Path) -> tuple[list[str], list[list[str]]]:
+    """Header and rows of a file. Raises: InputError."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             header, *rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)] or [[]]
@@ -88,10 +120,17 @@ def _of_file(path: Path, columns: list[str]) -> dict[str, tuple[list[float], lis
             f"Argument `data` must have commas between its columns, but `{path}` has other marks; write it with "
             "commas, and with points in decimal numbers."
         )
+    return header, rows
+
+
+def _signals(
+    path: Path, header: list[str], rows: list[tuple[int, list[str]]], columns: list[str]
+) -> dict[str, tuple[list[float], list[float]]]:
+    """{column: (times, values)} of numbered rows, in which an empty cell is no sample."""
     _require_columns([TIME, *columns], header, f"`{path}`")
     places = {name: header.index(name) for name in (TIME, *columns)}
     found: dict[str, tuple[list[float], list[float]]] = {name: ([], []) for name in columns}
-    for number, row in enumerate(rows, start=2):
+    for number, row in rows:
         cells = {name: row[place].strip() if place < len(row) else "" for name, place in places.items()}
         for name in columns:
             if cells[name]:

@@ -26,7 +26,14 @@ from rfem_jax.tolerancing.identification.signals import TIME, signal
 from rfem_jax.tolerancing.problems.evaluation import run_in_chunks
 from rfem_jax.tolerancing.problems.linearisation import push_directions
 from rfem_jax.tolerancing.problems.problem import Metric, ToleranceProblem, of_any_step
-from rfem_jax.tolerancing.problems.sample_values import Base, default_lanes
+from rfem_jax.tolerancing.problems.sample_values import (
+    Base,
+    default_lanes,
+    divided,
+    local_mesh,
+    on_devices,
+    stack_metrics,
+)
 from rfem_jax.tolerancing.problems.simulated_problem import Problem
 
 
@@ -69,7 +76,7 @@ class Predictor:
         self.rows = [known.index(one) for one in columns]
         self._clock = known.index(TIME) if times is None else 0
         self._times = None if times is None else np.asarray(times, dtype=float)
-        self._width = 1  # points with derivatives at once: that of the searches, whose program serves all
+        self._width = 1  # points with derivatives at once on a device: that of the searches, whose program serves all
 
     @property
     def times(self) -> Float[np.ndarray, " T"]:
@@ -79,15 +86,15 @@ class Predictor:
 
     def at(self, points: Float[np.ndarray, "w k"], derivatives: bool) -> Prediction:
         """The signals at points (w, k) [rad, m], and their derivatives where they are asked for."""
-        shared, mine = of_any_step(self.problem), self.base
+        shared, mine, mesh = of_any_step(self.problem), self.base, local_mesh()
 
         def program(rows):
-            return _signals(shared, self.names, mine, rows, derivatives)
+            return _signals(shared, self.names, mine, divided(mesh, rows), derivatives, mesh)
 
-        self._width = max(self._width, len(points)) if derivatives else self._width
+        self._width = max(self._width, -(-len(points) // mesh.size)) if derivatives else self._width
         width = self._width if derivatives else default_lanes()
         of = self.problem, ("signals", self.names, mine, derivatives)
-        values, slopes, status = run_in_chunks(program, width, points, of=of)
+        values, slopes, status = run_in_chunks(program, width * mesh.size, points, of=of)
         if self._times is None and (status == 0).any():
             self._times = values[int(np.argmax(status == 0)), self._clock]
         failed = (status != 0) | ~np.isfinite(values).all(axis=(1, 2))
@@ -102,23 +109,26 @@ def _clock(run: Any) -> Array:
 
 
 @partial(Program, nameless=True)
-def _signals(problem, names, base, points, derivatives):
+def _signals(problem, names, base, points, derivatives, mesh):
     """Values (w, m, T) of all metrics at points (w, k), derivatives (w, m, T, k), without elements unless they are
-    asked for, and status (w,); traced."""
+    asked for, and status (w,); traced. Points are divided among the devices of a mesh."""
 
-    def function(x):
-        errors = {**base, **{name: x[i] for i, name in enumerate(names)}}
-        values, status = problem(errors)
-        return jnp.stack([jnp.asarray(values[one.name], jnp.float64) for one in problem.metrics]), status
+    def of_rows(given, points):
+        problem, base = given
 
-    def one(x):
-        if not derivatives:
-            values, status = function(x)
-            return values, jnp.zeros((0,)), status
-        values, slopes, status = push_directions(function, x, jnp.eye(len(names)), len(names))
-        return values, jnp.moveaxis(slopes, 0, -1), status
+        def function(x):
+            return stack_metrics(problem, names, base, x)
 
-    return jax.vmap(one)(points)
+        def one(x):
+            if not derivatives:
+                values, status = function(x)
+                return values, jnp.zeros((0,)), status
+            values, slopes, status = push_directions(function, x, jnp.eye(len(names)), len(names))
+            return values, jnp.moveaxis(slopes, 0, -1), status
+
+        return jax.vmap(one)(points)
+
+    return on_devices(mesh, of_rows, (problem, base), points)
 
 
 def spline(times: Float[np.ndarray, " T"], values: Float[np.ndarray, "T ..."]) -> CubicSpline:

@@ -53,6 +53,11 @@ class Prior:
         return np.where(self.known, np.sqrt(np.sum(self.root**2, axis=1)), np.inf)
 
     @property
+    def precision(self) -> Float[np.ndarray, "k k"]:
+        """Inverse of the covariance; zero where the prior is flat."""
+        return np.linalg.inv(self.root @ self.root.T) * np.outer(self.known, self.known)
+
+    @property
     def scale(self) -> Float[np.ndarray, " k"]:
         """Units of z [rad, m]."""
         return np.sqrt(np.sum(self.root**2, axis=1))

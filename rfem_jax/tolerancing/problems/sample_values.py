@@ -35,8 +35,8 @@ def default_lanes() -> int:
 
 def stack_metrics(
     problem: ToleranceProblem, names: Sequence[str], base: Base, x: Float[Array, " k"]
-) -> tuple[Float[Array, " m"], Status]:
-    """Values (m,) of all metrics and the status at one point x (k,); traced."""
+) -> tuple[Float[Array, " m *times"], Status]:
+    """Values (m,) of all metrics, (m, T) of signals, and the status at one point x (k,); traced."""
     errors = {**base, **{name: x[i] for i, name in enumerate(names)}}
     values, status = problem(errors)
     return jnp.stack([jnp.asarray(values[m.name], jnp.float64) for m in problem.metrics]), status

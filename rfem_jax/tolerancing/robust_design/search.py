@@ -52,14 +52,18 @@ class Found(NamedTuple):
 
 
 def minimise_within(
-    function: Callable[[Float[np.ndarray, " p"]], Evaluation], start: Float[np.ndarray, " p"], *, most: int = 100
+    function: Callable[[Float[np.ndarray, " p"]], Evaluation],
+    start: Float[np.ndarray, " p"],
+    *,
+    most: int = 100,
+    stationary: float = STATIONARY,
 ) -> Found:
     """Minimise an objective under constraints in the unit cube.
 
     Arguments: function, y -> (objective, its gradient, constraints, their derivatives), cheap where it is asked again
-    for the last y; start; most, number of steps.
+    for the last y; start; most, number of steps; stationary, the residual at which it ends.
     """
-    watched = _Watched(function)
+    watched = _Watched(function, stationary)
     with suppress(_Ended):
         minimize(
             lambda y: watched(y)[0],
@@ -87,8 +91,9 @@ class _Watched:
     Points are compared by an exact penalty: objective + weight times violation, a weight above the multipliers.
     """
 
-    def __init__(self, function: Callable[[Float[np.ndarray, " p"]], Evaluation]):
-        self.function, self.steps, self.idle, self.weight = function, 0, 0, PENALTY
+    def __init__(self, function: Callable[[Float[np.ndarray, " p"]], Evaluation], stationary: float):
+        self.function, self.stationary = function, stationary
+        self.steps, self.idle, self.weight = 0, 0, PENALTY
         self.last, self.best, self.at_best = b"", np.zeros(0), (np.inf, 0.0)
 
     def __call__(self, y: Float[np.ndarray, " p"]) -> Evaluation:
@@ -101,7 +106,7 @@ class _Watched:
         if violation < NEAR:
             multipliers, residual = multipliers_at(y, found)
             self.weight = max(self.weight, 2.0 * float(multipliers.sum()))
-            if violation <= EXACT and residual <= STATIONARY:
+            if violation <= EXACT and residual <= self.stationary:
                 self.best = y
                 raise _Ended
         better = self._merit(*self.at_best) - self._merit(float(found[0]), violation)

@@ -1,8 +1,10 @@
-// Identification: errors with intervals beside tolerances, how signals are fitted, curves before and after, what signals can tell.
+// Identification: errors with intervals beside tolerances, what is known of them together, what a correction does, how signals
+// are fitted, curves before and after, what signals can tell.
 function identificationPage(task) {
   const { result } = task;
   const errors = (Array.isArray(result.errors) ? result.errors : []).filter((one) => one && typeof one === "object");
   if (!errors.length) return null;
+  if (Array.isArray(result.machines)) return productionPage(result, errors);
   const curves = (Array.isArray(result.curves) ? result.curves : []).filter((one) => one && Array.isArray(one.times));
   const status = `Status ${String(result.status).replace(/_/g, " ")}${result.message ? `: ${result.message.replaceAll("`", "")}` : ""}.`;
   return [
@@ -10,6 +12,8 @@ function identificationPage(task) {
     (result.modes || []).length > 1 ? section("Sets of errors that explain the data", modesTable(result, errors)) : null,
     curves.length ? section("Measured and simulated signals", make("p", { class: "hint" }, "Dots: measured; dashed: simulated with what was known before; curve: with the errors found."),
       make("div", { id: "identification-curves", class: "charts" }, curves.map(signalChart))) : null,
+    (result.samples || []).length && errors.length > 1 ? posteriorSection(result.samples, errors) : null,
+    result.correction ? correctionSection(result.correction) : null,
     (result.signals || []).length ? section("How the signals are fitted", fitTable(result.signals)) : null,
     result.visibility ? visibilitySection(result.visibility, errors) : null,
   ];
@@ -35,6 +39,67 @@ function modesTable(result, errors) {
     ...errors.map((one, i) => ({ label: one.error, value: (row) => row.errors[i], show: (value) => showError(value, one.unit) })),
   ];
   return sortableTable("Sets of errors", columns, result.modes, { id: "identified-modes" });
+}
+
+// Several machines: the distribution of their errors, the lines of a study that say the same, and every machine.
+function productionPage(result, errors) {
+  const inUnit = (key) => ({ value: (row) => row[key], show: (value, row) => (typeof value === "number" ? showError(value, row.unit) : "\u2013") });
+  const range = `${showNumber(100 * result.confidence, 3)} % interval`;
+  const columns = [
+    { label: "error", value: (row) => row.error }, { label: "mean", ...inUnit("mean") }, { label: `${range} from`, ...inUnit("mean_low") }, { label: "to", ...inUnit("mean_high") },
+    { label: "deviation", title: "standard deviation from machine to machine", ...inUnit("deviation") }, { label: "deviation from", ...inUnit("deviation_low") }, { label: "deviation to", ...inUnit("deviation_high") },
+    { label: "from others", unit: "%", title: "how much of a machine's errors comes from the others", value: (row) => 100 * row.shrinkage, show: (value) => showNumber(value, 3) },
+  ];
+  const machines = [
+    { label: "machine", value: (row) => row.machine }, { label: "status", value: (row) => row.status },
+    ...errors.map((one) => ({ label: one.error, value: (row) => row[one.error], show: (value) => (typeof value === "number" ? showError(value, one.unit) : "\u2013") })),
+    { label: "as far by chance", title: "probability that a machine is as far from the others", value: (row) => row.chance, show: (value) => (typeof value === "number" ? showNumber(value, 2) : "\u2013") },
+  ];
+  return [
+    section("Errors of production", make("p", { id: "identification-status" }, `Status ${result.status}: ${result.message}.`), sortableTable("Errors", columns, errors, { id: "production" }),
+      make("p", { class: "hint" }, "As the table of a study file:"), make("pre", { id: "production-tolerances" }, result.tolerances)),
+    section("Machines", sortableTable("Machines", machines, result.machines, { id: "machines" })),
+  ];
+}
+
+// Pairs of errors, in deg and mm: a cloud for each, as long as they are few.
+function posteriorSection(samples, errors) {
+  const [units, charts] = [errors.map((one) => asSpecified(one.unit)), []];
+  errors.slice(0, 4).forEach((other, j) => errors.slice(0, j).forEach((one, i) => {
+    const column = (k) => samples.map((row) => units[k][1] * row[k]);
+    const series = [{ x: column(i), y: column(j), marks: true, class: "faint", name: other.error }];
+    const words = `${other.error} over ${one.error}`;
+    charts.push(make("figure", {}, lineChart(series, `${one.error}, ${units[i][0]}`, `${other.error}, ${units[j][0]}`, words, { width: 360, height: 280 })));
+  }));
+  return section("What is known of the errors together", make("p", { class: "hint" }, "Dots: equally probable machines that would show what was measured."),
+    make("div", { id: "posterior", class: "charts" }, charts));
+}
+
+function correctionSection(correction) {
+  const { outcomes, metric, unit } = correction;
+  const range = `${showNumber(100 * correction.confidence, 3)} % interval`;
+  const percent = (value) => (typeof value === "number" ? showNumber(value < 1e-6 ? 0 : 100 * value, 3) : "\u2013");
+  const columns = [
+    { label: "correction", value: (row) => row.name },
+    ...correction.adjustments.map((name, i) => ({ label: name, value: (row) => row.amounts[i], show: (value) => (value ? showError(value, correction.adjustment_units[name]) : "\u2013") })),
+    { label: `${metric}`, unit, value: (row) => row.mean, show: (value) => showNumber(value, 4) },
+    { label: `${range} from`, unit, value: (row) => row.low, show: (value) => showNumber(value, 4) }, { label: "to", unit, value: (row) => row.high, show: (value) => showNumber(value, 4) },
+    { label: `${showNumber(100 * correction.quantile, 3)} % below`, unit, value: (row) => row.quantile, show: (value) => showNumber(value, 4) },
+    { label: "less", unit: "%", title: "probability that the metric is less than as it is", value: (row) => (row === outcomes[0] ? null : row.less), show: percent },
+    ...Object.keys(outcomes[0].broken).map((name) => ({ label: `${name} broken`, unit: "%", title: "probability that its limit is broken", value: (row) => row.broken[name], show: percent })),
+    { label: "beyond tolerance", unit: "%", title: "probability that an error is beyond its tolerance", value: (row) => row.any_beyond, show: percent },
+    ...(outcomes.some((one) => one.failed > 0) ? [{ label: "fails", unit: "%", title: "probability that the machine does not work", value: (row) => row.failed, show: percent }] : []),
+  ];
+  const shown = outcomes.filter((one, i) => i === 0 || one.name === correction.best || (i === outcomes.length - 1 && i > 1));
+  const dashes = [[], [6, 4], [2, 3]];
+  const series = shown.map((one, i) => ({ x: one.distribution.values, y: one.distribution.below.map((part) => 100 * part), dash: dashes[i], name: one.name }));
+  const styles = ["curve", "dashed", "dotted"];
+  const chart = shown[0].distribution.values.length ? make("figure", { id: "correction-chart" },
+    lineChart(series, unit ? `${metric}, ${unit}` : metric, "probability to be below, %", `${metric} before and after`, { width: 560, height: 300, yRange: [0, 100] })) : null;
+  return section("Correction", make("p", { id: "correction-status" }, `Status ${correction.status.replace(/_/g, " ")}: ${correction.message.replaceAll("`", "")}.`),
+    sortableTable("What adjustments would do", columns, outcomes, { id: "corrections" }),
+    ...correction.sentences.map((words) => make("p", {}, words)),
+    make("p", { class: "hint" }, `${shown.map((one, i) => `${styles[i]}: ${one.name}`).join("; ")}.`), make("div", { class: "charts" }, chart));
 }
 
 function signalChart(curve) {
