@@ -29,11 +29,14 @@ from rfem_jax.description.tolerances.tolerances import SpecifiedTolerances, erro
 from rfem_jax.labelled_data import column_name
 
 TIME = "time_s"
+STRAIN = "m/m"  # the unit of strains, by which their columns are known
 LOSSES = ("gaussian", "huber", "cauchy")
 PRIORS = ("tolerances", "flat")
+FILTERS = ("", "low_pass", "butterworth", "high_pass", "average")
 SENSOR_TABLES = ("signals", "candidates")  # by the names of columns
-_MEASURED = ("acceleration", "angle", "rate", "speed", "moment", "force", "length")
+_MEASURED = ("acceleration", "angle", "rate", "speed", "moment", "force", "length", "pressure")
 _UNITS = {column_name("", DIMENSIONS[name][1]): (name, DIMENSIONS[name][1]) for name in _MEASURED}
+_UNITS[column_name("", STRAIN)] = ("none", STRAIN)
 
 
 @dataclass(frozen=True)
@@ -46,18 +49,34 @@ class Sensor(ChecksItself):
         offset: standard deviation of an unknown constant that the sensor adds, likewise; 0 without one, inf for one of
             which nothing is known.
         gain: standard deviation of the sensor's unknown relative error of scale; 0 without one.
-    Raises: InputError for negative numbers.
+        filter: "low_pass" of first order, "butterworth", a low pass of second order, "high_pass" of first order, as of
+            an accelerometer that is coupled by a capacitor, or "average" over the last interval; "" without one.
+        filter_time: time constant T [s], or a string with a unit; the cut-off frequency is 1/(2 pi T). Of "average" the
+            interval.
+    Raises: InputError for negative numbers, and a filter without a time.
     """
 
     noise: float | None = None
     offset: float = 0.0
     gain: float = 0.0
+    filter: str = ""
+    filter_time: float = 0.0
 
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("gain", _deviation, "gain", "none")
+        checks.convert("filter", require_choice, FILTERS, "filter")
+        checks.convert("filter_time", _deviation, "filter_time", "time")
+        checks.relation(("filter", "filter_time"), self._require_time)
         for name in ("noise", "offset"):
             if getattr(self, name) is not None and not isinstance(getattr(self, name), str):  # of its column's unit
                 checks.convert(name, _deviation, name, "none")
+
+    def _require_time(self) -> None:
+        if bool(self.filter) != (0.0 < self.filter_time < inf):
+            raise InputError(
+                "Argument `filter_time` must be a positive time of a sensor with a `filter`, and of no other, but was "
+                f"{self.filter_time:g} s with the filter {self.filter!r}; give both, or none."
+            )
 
     def of_column(self, column: str) -> "Sensor":
         """The same with numbers in the unit of its column. Raises InputError for strings in another unit."""

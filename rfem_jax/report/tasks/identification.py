@@ -99,6 +99,7 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
             "curves": [_thinned(one) for one in result.curves],
             "visibility": visibility,
             "remarks": list(result.remarks),
+            "suspects": [asdict(one) for one in result.suspects],
             "steps": result.steps,
             "converged": result.converged,
             "units": units,
@@ -144,6 +145,7 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
 def _sensor(one: Sensor, unit: str) -> str:
     said = "noise to be estimated" if one.noise is None else f"noise {one.noise:g} {unit}"
     said += f", offset {one.offset:g} {unit}" if one.offset else ""
+    said += f", {one.filter} of {one.filter_time:g} s" if one.filter else ""
     return f"({said}{f', gain {one.gain:g}' if one.gain else ''})"
 
 

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from rfem_jax.labelled_data import Arrays, Labelled, LabelledResult, Parts, Table, column_name, named_dimension
 from rfem_jax.tolerancing.identification.fit_tests import SignalFit
 from rfem_jax.tolerancing.identification.observability import Visibility, combination
+from rfem_jax.tolerancing.identification.suspects import Suspect
 from rfem_jax.tolerancing.layout import show_error, show_number
 
 PARTS = 4  # of a combination in a table
@@ -165,7 +166,7 @@ class Identification(_OfVisibility):
     status: see `message`; method of the intervals: "laplace" or "importance"; modes: `ModeFound`s, the estimate first;
     effective: number of effective samples, of `samples`; departure: of these from the normal approximation (17.8);
     signals: `SignalFit`s; curves: `Curve`s; visibility: at the estimate; remarks: further sentences; steps: of the
-    longest search; converged: searches, of `starts`.
+    longest search; converged: searches, of `starts`; suspects: where the model does not fit, what would explain it.
     """
 
     names: tuple[str, ...]
@@ -193,6 +194,7 @@ class Identification(_OfVisibility):
     steps: int
     starts: int
     converged: int
+    suspects: tuple[Suspect, ...] = ()
 
     index = ("error",)
 

@@ -25,8 +25,9 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.description.tasks.identification import Sensor
-from rfem_jax.tolerancing.identification.predictions import Prediction, Predictor, spline
+from rfem_jax.tolerancing.identification.predictions import Prediction, Predictor
 from rfem_jax.tolerancing.identification.prior import Prior
+from rfem_jax.tolerancing.identification.sensor_filters import sensed
 
 INVISIBLE, WEAK = 1e-2, 1.0  # singular values
 ALIKE = 0.99  # cosine of the effects of two errors
@@ -154,7 +155,7 @@ def information_of(
     row = predictor.columns.index(column)
     assert prediction.derivatives is not None and sensor.noise is not None, "asked for, and estimated where not given"
     values = np.concatenate([prediction.values[w, row][:, None], prediction.derivatives[w, row] @ prior.root], axis=1)
-    through = spline(predictor.times, values)
+    through = sensed(predictor.times, values, sensor)
     found = through(times)
     slopes = np.concatenate([found[:, 1:], -shift * through(times, 1)[:, :1]], axis=1)
     return signal_information(slopes, found[:, 0], sensor.noise, sensor.offset, sensor.gain)
