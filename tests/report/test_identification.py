@@ -51,7 +51,7 @@ def signals(errors):
 def build(study, metrics, model=None, trials=None):
     names = ["time_s", *(one.name for one in metrics)]
     return FunctionProblem(
-        lambda errors: {name: signals(errors)[name] for name in names}, tuple(TRUTH),
+        lambda errors: {name: signals(errors)[name] for name in names}, (*TRUTH, "D.delta_z"),
         [Metric(name) for name in names], error_units={"D.d_y": "m"},
     )  # fmt: skip
 
@@ -126,13 +126,21 @@ def test_other_data_and_a_model_that_does_not_explain_them(path, tmp_path, capsy
 
 
 def test_without_data_it_tells_what_signals_can_tell(path, tmp_path, capsys):
-    path.write_text(STUDY + TABLES.replace('data = "measured.csv"\n', ""), encoding="utf-8")
+    more = 'experiments = { tilted = { "D.delta_z" = "0.1 deg" } }\n'
+    path.write_text(STUDY + TABLES.replace('data = "measured.csv"\n', more), encoding="utf-8")
     assert main(["identify", str(path), "--out", str(tmp_path / "out")]) == 0
-    assert "Identifiability of 2 unknowns" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "Identifiability of 2 unknowns" in printed and "Which experiment tells most" in printed
+    assert max(len(line) for line in printed.splitlines() if str(tmp_path) not in line) <= WIDTH
     found = json.loads((tmp_path / "out" / "identification.json").read_text(encoding="utf-8"))
     for row in found["errors"]:
         assert 0.0 < row["expected_deviation"] < 0.3 * row["prior_deviation"]
-    assert not list((tmp_path / "out").glob("*.png"))
+    given, tilted = found["experiments"]
+    assert given["name"] == "as given" and tilted["name"] == "tilted"
+    left = [row["expected_deviation"] / row["prior_deviation"] for row in found["errors"]]
+    np.testing.assert_allclose(given["deviations"][-1], left, rtol=1e-12)
+    np.testing.assert_allclose(tilted["lengths"], np.linspace(0.05, 0.5, 10), atol=6e-3)
+    assert [one.name for one in (tmp_path / "out").glob("*.png")] == ["identification_lengths.png"]
 
 
 def test_check_says_what_is_asked(path):
@@ -150,6 +158,13 @@ def test_check_says_what_is_asked(path):
         ("starts = 4", 'unknowns = ["D.d_z"]', ("[identification]", "`unknowns`", "`D.d_z`", "tolerances")),
         ("starts = 4", 'at = { "Q.d_z" = "1 mm" }', ("`identification`", "`Q.d_z`")),
         ("starts = 4", 'bounds = { "D.d_y" = ["1 mm", "0 mm"] }', ("[identification]", "`bounds`", "rise")),
+        ("starts = 4", "experiments = 3", ("[identification]", "`experiments`", "slower")),
+        ("starts = 4", 'experiments = { a = { "Q.d_z" = "1 mm" } }', ("`identification`", "`a`", "`Q.d_z`")),
+        (
+            '"0.02 rad/s"',
+            '"0.02 rad/s", filter = "low_pass"',
+            ("signals.rate_rad_s]", "`filter_time`", "both, or none"),
+        ),
         ("starts = 4", 'time_shift = "-1 s"', ("[identification]", "`time_shift`", "negative")),
         ("starts = 4", "time_shift = inf", ("[identification]", "`time_shift`", "finite")),
         ("starts = 4", "data = 3", ("[identification]", "`data`", "CSV")),

@@ -22,6 +22,8 @@ from rfem_jax.description.basics.errors import (
 )
 from rfem_jax.description.basics.tables import keys_of, read_table
 from rfem_jax.description.basics.units import DIMENSIONS, Quantity, quantity
+from rfem_jax.description.mechanism.mechanism import Mechanism
+from rfem_jax.description.parameters.deviations import require_deviation
 from rfem_jax.description.tasks.settings import MOST_SAMPLES, convert_all, fraction, set_fields, whole_number
 from rfem_jax.description.tasks.sweep import bounds_of
 from rfem_jax.description.tasks.task import Task
@@ -106,6 +108,8 @@ class IdentificationTask(Task):
         prior: "tolerances", normal with the tolerances' means, deviations and correlations, or "flat" between bounds.
         bounds: {error: (low, high)} in rad and m, which estimates do not leave.
         at: {error: value} in rad and m of errors that are known; others are 0.
+        experiments: {name: {parameter, number of a drive, or error: deviation from its value}} of other experiments
+            with the same machine, which are compared where nothing is measured yet.
         time_shift: standard deviation [s] of the unknown delay of the measurements' clock; 0 without one.
         loss: "gaussian", or for data with outliers "huber" or "cauchy".
         confidence: of the intervals, between 0 and 1.
@@ -125,6 +129,7 @@ class IdentificationTask(Task):
     prior: str = "tolerances"
     bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
     at: dict[str, float] = field(default_factory=dict)
+    experiments: dict[str, dict[str, float]] = field(default_factory=dict)
     time_shift: float = 0.0
     loss: str = "gaussian"
     confidence: float = 0.95
@@ -142,6 +147,7 @@ class IdentificationTask(Task):
         checks.convert("loss", require_choice, LOSSES, "loss")
         checks.convert("bounds", bounds_of)
         checks.convert("at", error_quantities, "at")
+        checks.convert("experiments", _experiments)
         checks.convert("time_shift", _deviation, "time_shift", "time")
         convert_all(checks, ("starts", "iterations"), whole_number, 1, MOST_SAMPLES)
         convert_all(checks, ("samples",), whole_number, 16, MOST_SAMPLES)
@@ -188,6 +194,17 @@ class IdentificationTask(Task):
         task: Any = super().read(read, place, tolerances)
         with located(place):
             return task.with_unknowns(tolerances)
+
+    def resolved(self, mechanism: Mechanism, name: str) -> "IdentificationTask":
+        """As `Task.resolved`; checks what the experiments change, too."""
+        problems = Problems()
+        for title, values in self.experiments.items():
+            for error in values:
+                with problems.noted():
+                    require_deviation(mechanism, error, f"`{name}`, experiment `{title}`")
+        problems.refuse()
+        resolved: Any = super().resolved(mechanism, name)
+        return resolved
 
     def with_unknowns(self, tolerances: SpecifiedTolerances | None) -> "IdentificationTask":
         """The same task with its unknowns named. Raises InputError where they have neither tolerances nor bounds."""
@@ -259,6 +276,15 @@ def _deviation(value: Quantity, where: str, dimension: str) -> float:
     if number < 0.0:
         raise InputError(f"{subject(where)} must not be negative, but was {value!r}; give a standard deviation.")
     return number
+
+
+def _experiments(experiments: object) -> dict[str, dict[str, float]]:
+    if not isinstance(experiments, dict):
+        raise InputError(
+            f"Argument `experiments` must be a table of experiments, but was {experiments!r}; write for example "
+            '{ slower = { "drive.moment" = "-1 N m" } }.'
+        )
+    return {str(name): error_quantities(values, f"experiments.{name}") for name, values in experiments.items()}
 
 
 def _path(path: object) -> str:

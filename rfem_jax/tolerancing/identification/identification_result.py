@@ -11,6 +11,11 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.labelled_data import Arrays, Labelled, LabelledResult, Parts, Table, column_name, named_dimension
+from rfem_jax.tolerancing.identification.experiments_compared import (
+    Experiment,
+    experiment_arrays,
+    experiment_parts,
+)
 from rfem_jax.tolerancing.identification.fit_tests import SignalFit
 from rfem_jax.tolerancing.identification.observability import Visibility, combination
 from rfem_jax.tolerancing.identification.suspects import Suspect
@@ -106,7 +111,7 @@ class Identifiability(_OfVisibility):
     """What signals can tell of errors before any is measured.
 
     names, error_units (k); prior_deviation (k,) [rad, m]; visibility: see `Visibility`; failed: points of the prior,
-    of `points`, whose run failed.
+    of `points`, whose run failed; experiments: what each tells by its length, the one as given first.
     """
 
     names: tuple[str, ...]
@@ -115,6 +120,7 @@ class Identifiability(_OfVisibility):
     visibility: Visibility | None
     points: int
     failed: int
+    experiments: tuple[Experiment, ...] = ()
 
     index = ("error",)
 
@@ -139,7 +145,8 @@ class Identifiability(_OfVisibility):
         variables |= {"prior_deviation": before}
         variables |= {"expected_deviation": Labelled(("error",), after, "", "after it, in error_unit")}
         coordinates |= named_dimension("error", self.names, self.error_units)
-        return variables, coordinates, {"title": "Identifiability", "status": self.status}
+        further, places = experiment_arrays(self.experiments)
+        return variables | further, coordinates | places, {"title": "Identifiability", "status": self.status}
 
     def parts(self) -> Parts:
         """Expected deviations, combinations, signals."""
@@ -152,7 +159,8 @@ class Identifiability(_OfVisibility):
             for row in self.rows()
         ]
         table = Table(["error", "deviation before", "deviation after"], rows)
-        return [head, table, *self._visibility_parts("What the signals can tell")]
+        seen = self._visibility_parts("What the signals can tell")
+        return [head, table, *seen, *experiment_parts(self.experiments, self.names)]
 
 
 @dataclass(frozen=True, eq=False)

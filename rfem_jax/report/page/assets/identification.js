@@ -11,8 +11,33 @@ function identificationPage(task) {
     curves.length ? section("Measured and simulated signals", make("p", { class: "hint" }, "Dots: measured; dashed: simulated with what was known before; curve: with the errors found."),
       make("div", { id: "identification-curves", class: "charts" }, curves.map(signalChart))) : null,
     (result.signals || []).length ? section("How the signals are fitted", fitTable(result.signals)) : null,
+    (result.suspects || []).length ? section("What may be behind the misfit", suspectTable(result.suspects)) : null,
     result.visibility ? visibilitySection(result.visibility, errors) : null,
+    (result.experiments || []).length ? experimentSection(result.experiments, errors) : null,
   ];
+}
+
+function suspectTable(suspects) {
+  const inUnit = (value, row) => (row.unit === "rad" || row.unit === "m" ? showError(value, row.unit) : `${showNumber(value, 3)} ${row.unit}`);
+  const columns = [
+    { label: "no unknown", value: (row) => row.name }, { label: "would be", value: (row) => row.value, show: inUnit }, { label: "deviation", value: (row) => row.deviation, show: inUnit },
+    { label: "\u03c7\u00b2 falls by", value: (row) => row.fall, show: (value) => showNumber(value, 3) }, { label: "of the misfit", unit: "%", value: (row) => 100 * row.share, show: (value) => showNumber(value, 3) },
+    { label: "verdict", value: (row) => (row.named ? (row.fits ? "explains it" : "explains most") : "does not explain it") },
+  ];
+  return sortableTable("Errors, parameters and faults of sensors that are no unknowns", columns, suspects, { id: "suspects" });
+}
+
+function experimentSection(experiments, errors) {
+  const last = (values) => values[values.length - 1];
+  const columns = [
+    { label: "experiment", value: (row) => row.name }, { label: "measured", unit: "s", value: (row) => last(row.lengths), show: (value) => showNumber(value, 3) },
+    { label: "information", unit: "nat", value: (row) => last(row.gain), show: (value) => showNumber(value, 3) }, { label: "variance left", unit: "%", value: (row) => 100 * last(row.rest), show: (value) => showNumber(value, 3) },
+    ...errors.map((one, i) => ({ label: one.error, value: (row) => last(row.deviations)[i], show: (value) => showNumber(value, 3) })),
+  ];
+  const chart = (one) => make("figure", {}, lineChart(errors.map((error, i) => ({ x: one.lengths, y: one.deviations.map((row) => numberOr(row[i], NaN)), name: error.error })),
+    "measured time, s", "deviation left", `Deviations left after experiment ${one.name}`, { width: 560, height: 300, yRange: [0, 1.05] }), make("figcaption", {}, `${one.name}: ${errors.map((error) => error.error).join(", ")}`));
+  return section("Which experiment, and how long", make("p", { class: "hint" }, "Deviations are expected after the measurement, in those known before."),
+    sortableTable("Experiments at their whole length", columns, experiments, { id: "experiments" }), make("div", { id: "experiment-lengths", class: "charts" }, experiments.map(chart)));
 }
 
 function foundTable(errors, result) {
