@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import FunctionProblem, Metric, load_study
+from rfem_jax import FunctionProblem, InputError, Metric, load_study
 from rfem_jax.report.command_line import main
-from rfem_jax.report.files import history_columns
+from rfem_jax.report.files import axes_columns, history_columns
 from rfem_jax.report.page.folder import folder_content
 from rfem_jax.report.tasks.catalogue import report_on
 from rfem_jax.report.tasks.task_overview import tasks_text
@@ -202,14 +202,48 @@ step = "2 ms"
 """
 TURNS = '[[drives]]\njoint = "A"\nkind = "moment_ramp"\nmoment = 1.0\nrise_time = 0.1\n'
 SLIDES = '[[drives]]\njoint = "G"\nkind = "force_ramp"\nforce = 2.0\nrise_time = 0.1\n'
+IN_BASE = 'parent = "base"'
+LOOSE = 'clearance = { radial = "0.05 mm", length = "20 mm", stiffness = "60 kN/mm^1.5", restitution = 0.9 }'
+FORCES = """
+[[mechanism.springs]]
+name = "coil"
+links = ["base", "block"]
+points = [[0.1, 0.0, 0.4], 0.02]
+stiffness = 200.0
+[[mechanism.forces]]
+name = "push"
+link = "block"
+position = 0.05
+force = [0, 1.0, 2.0]
+[[mechanism.forces]]
+kind = "point_moment"
+name = "twist"
+link = "block"
+position = 0.05
+moment = [0, 0.1, 0.0]
+[[mechanism.couplings]]
+name = "rack"
+joints = ["A", "G"]
+ratio = "20 mm/rad"
+stiffness = "2 kN/m"
+"""
 OF_CASES_ONLY = ("_J", "_loss_J", "_dissipation_J")  # energies are no signals
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("drives", [TURNS, SLIDES, TURNS + SLIDES])
+@pytest.mark.parametrize(
+    "drives",
+    [TURNS, SLIDES, TURNS + SLIDES, FORCES + TURNS, pytest.param(LOOSE, marks=pytest.mark.long)],
+    ids=["turns", "slides", "both", "forces", "clearance"],
+)
 def test_signals_are_the_columns_that_a_run_writes(drives, tmp_path):
-    path = tmp_path / "study.toml"
-    path.write_text(MOVES + drives, encoding="utf-8")
+    path, mechanism = tmp_path / "study.toml", MOVES
+    if drives == FORCES + TURNS:
+        mechanism = mechanism.replace("[mechanism]\n", "[mechanism]\nshaking_point = [0, 0, 0]\n")
+        mechanism = f'metrics = ["rms_shaking_force"]\n{mechanism}'
+    if drives == LOOSE:
+        mechanism, drives = mechanism.replace(IN_BASE, f"{IN_BASE}\n{LOOSE}"), TURNS
+    path.write_text(mechanism + drives, encoding="utf-8")
     study = load_study(path)
     (run,) = run_cases(study)[1].values()
     written, known = history_columns(study, run), dict(run_columns(run))
@@ -219,3 +253,16 @@ def test_signals_are_the_columns_that_a_run_writes(drives, tmp_path):
         np.testing.assert_array_equal(np.asarray(known[name]()), written[name], err_msg=name)
         if name != "time_s":
             np.testing.assert_array_equal(np.asarray(signal(name)(run)), written[name])
+
+
+@pytest.mark.slow
+def test_loads_in_other_axes_are_signals(tmp_path):
+    path = tmp_path / "study.toml"
+    path.write_text(MOVES + TURNS, encoding="utf-8")
+    study = load_study(path)
+    (run,) = run_cases(study)[1].values()
+    for axes in ("global", "child"):
+        for name, values in axes_columns(study, run.loads_in(axes), axes).items():
+            np.testing.assert_array_equal(np.asarray(signal(name)(run)), values)
+    with pytest.raises(InputError, match="A_force_local_x_N"):
+        signal("A_force_local_x_N")(run)

@@ -29,7 +29,7 @@ from rfem_jax.tolerancing.identification.residuals import Residuals, robust
 from rfem_jax.tolerancing.identification.sensor_filters import sensed
 from rfem_jax.tolerancing.layout import show_error, show_number
 
-SHOWN = 5  # suspects in the result
+SHOWN = 8  # suspects in the result
 SHARE = 0.5  # of the misfit, from which it is explained
 ALIKE = 0.9  # of the best one's fall: nearly as good an explanation
 INDEPENDENT = 1e-8  # part of an effect that no unknown has, below which nothing can be said
