@@ -56,14 +56,14 @@ def build(study, metrics, model=None, trials=None):
     )  # fmt: skip
 
 
-def measure(path, noise=1.0):
-    """A table in which the force is sampled at every second time only."""
+def measure(path, noise=1.0, force=0.0):
+    """A table in which the force is sampled at every second time only, by a sensor that adds `force` [N]."""
     rng, values = np.random.default_rng(0), signals(TRUTH)
     lines = ["time_s, rate_rad_s, A_force_x_N"]
     for k in range(1, 100):
         rate = float(values["rate_rad_s"][k]) + 0.02 * noise * rng.normal()
-        force = float(values["A_force_x_N"][k]) + 0.3 * noise * rng.normal()
-        lines.append(f"{TIMES[k]:.3f}, {rate:.5f}, {f'{force:.5f}' if k % 2 else ''}")
+        load = float(values["A_force_x_N"][k]) + force + 0.3 * noise * rng.normal()
+        lines.append(f"{TIMES[k]:.3f}, {rate:.5f}, {f'{load:.5f}' if k % 2 else ''}")
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 

@@ -1,10 +1,24 @@
 """What sensors show: strain gauges by beam theory, filters by closed forms and by scipy, forces of all kinds."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import signal as peer
 
-from rfem_jax import GeneralisedAlpha, MomentRamp, Sensor, Simulation, assembly_errors, discretise, simulate
+from rfem_jax import (
+    FunctionProblem,
+    GeneralisedAlpha,
+    MomentRamp,
+    Normal,
+    Sensor,
+    Simulation,
+    Tolerances,
+    assembly_errors,
+    discretise,
+    identifiability,
+    identify,
+    simulate,
+)
 from rfem_jax.tolerancing.identification.predictions import Predictor
 from rfem_jax.tolerancing.identification.sensor_filters import filtered
 from tests.mechanisms import arm, four_bar
@@ -70,6 +84,38 @@ def test_a_sensor_without_a_filter_and_wrong_ones(refused):
     for wrong in ({"filter": "low_pass"}, {"filter_time": "1 ms"}):
         with refused("`filter_time`", "both, or none"):
             Sensor(1.0, **wrong)
+
+
+def shaken(errors):
+    """A shift that jerks: fast beside the filters."""
+    t = jnp.asarray(TIMES[::5])
+    return {"P_acceleration_x_m_s2": errors["D.d_y"] / 2e-4 * jnp.sin(60.0 * t) + errors["D.delta_x"] / 3e-3 * t}
+
+
+@pytest.mark.parametrize("kind", RESPONSES)
+def test_errors_are_found_behind_filters(kind):
+    """What another program has filtered, finely, is explained with the filter, and not without it."""
+    truth, column = {"D.d_y": 3e-4, "D.delta_x": -4e-3}, "P_acceleration_x_m_s2"
+    u = 1.5 * np.sin(60.0 * TIMES) - 4.0 / 3.0 * TIMES
+    if kind == "average":
+        past = np.concatenate([np.zeros(40), u])  # 40 intervals of 0.5 ms are T
+        shown = np.array([np.trapezoid(past[k : k + 41], dx=5e-4) / T for k in range(len(u))])
+    else:
+        shown = peer.lsim(SYSTEMS[kind], u, TIMES)[1]
+    problem = FunctionProblem(shaken, tuple(truth), (column,), error_units={"D.d_y": "m"})
+    tolerances = Tolerances({"D.d_y": Normal(6e-4), "D.delta_x": Normal(9e-3)})
+    data = {"time_s": TIMES[7::10], column: shown[7::10] + 0.02 * np.random.default_rng(0).normal(size=len(u[7::10]))}
+    settings = {"times": TIMES[::5], "starts": 2, "samples": 64}
+    found = identify(problem, data, {column: Sensor(0.02, filter=kind, filter_time=T)}, tolerances, **settings)
+    assert found.status == "ok", str(found)
+    assert (np.abs(found.estimate - list(truth.values())) < 4.0 * found.deviation).all()
+    assert identify(problem, data, {column: Sensor(0.02)}, tolerances, **settings).status == "misfit"
+    told = identifiability(problem, {column: Sensor(0.02, filter=kind, filter_time=T)}, tolerances, times=TIMES[::5])
+    none = dict.fromkeys(truth, 0.0)  # signals are linear in errors: of one deviation they are slopes
+    whole = [np.asarray(shaken(none | one)[column]) for one in ({"D.d_y": 2e-4}, {"D.delta_x": 3e-3})]
+    slopes = [filtered(TIMES[::5], one, Sensor(1.0, filter=kind, filter_time=T)) for one in whole]
+    expected = np.linalg.svd(np.stack(slopes, axis=1) / 0.02, compute_uv=False)
+    np.testing.assert_allclose(told.visibility.singular, expected, rtol=1e-6)
 
 
 LENGTH, SIDE, DENSITY, MODULUS = 0.3, 0.01, 7850.0, 210e9

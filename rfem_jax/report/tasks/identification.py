@@ -146,7 +146,7 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
 
     def draw(self, result: Result) -> dict[str, Figure]:
         if isinstance(result, Identifiability):
-            return {"lengths": lengths_figure(self.study, result)} if result.experiments else {}
+            return {"lengths": lengths_figure(self.study, result)} if result.status == "ok" else {}
         if not result.curves:
             return {}
         return {"curves": curves_figure(self.study, result), "errors": errors_figure(self.study, result)}
@@ -169,6 +169,7 @@ def _thinned(curve: Curve) -> dict[str, Any]:
 def lengths_figure(study: Study, result: Identifiability) -> Figure:
     """How the expected standard deviations fall with the time that is measured, in each experiment."""
     shown = result.experiments[:MOST_PANELS]
+    lowest = float(np.nanmin([np.nanmin(one.deviations) for one in shown if np.isfinite(one.gain).any()]))
     figure = new_figure(8.4, 2.9 * ((len(shown) + 1) // 2) + 1.6)
     panels, add_shared_legend = panel_grid(figure, len(shown), columns=min(2, len(shown)))
     for one, axes in zip(shown, panels, strict=True):
@@ -179,7 +180,7 @@ def lengths_figure(study: Study, result: Identifiability) -> Figure:
         axes.set_xlabel("measured time, s")
         axes.set_ylabel("deviation left")
         axes.set_yscale("log")
-        axes.set_ylim(top=1.1)
+        axes.set_ylim(0.7 * lowest, 1.2)
     add_shared_legend(*panels[0].get_legend_handles_labels())
     add_titles(figure, "Expected deviations after the measurement, of those before it", study)
     return figure

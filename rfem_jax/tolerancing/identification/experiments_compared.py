@@ -23,9 +23,10 @@ from rfem_jax.tolerancing.identification.observability import (
     signal_information,
     without_shift,
 )
-from rfem_jax.tolerancing.identification.predictions import Prediction, Predictor
+from rfem_jax.tolerancing.identification.predictions import Prediction, Predictor, scaled_base
 from rfem_jax.tolerancing.identification.prior import Prior
 from rfem_jax.tolerancing.layout import show_number
+from rfem_jax.tolerancing.problems.sample_values import Base
 
 LENGTHS = 10
 AS_GIVEN = "as given"
@@ -75,14 +76,14 @@ def _of_prefixes(slopes: np.ndarray, values: np.ndarray, sensor: Sensor, ends: n
     return np.stack(parts)
 
 
-def shared_bases(fixed: Mapping[str, Any], experiments: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, Any]]:
+def shared_bases(fixed: Base, experiments: Mapping[str, Mapping[str, float]]) -> dict[str, Base]:
     """What is held fixed in each experiment, the one as given first; all name the same, so that they share programs."""
     names = list(dict.fromkeys([*fixed, *(name for one in experiments.values() for name in one)]))
     given = {AS_GIVEN: {}, **experiments}
     return {
-        title: {name: np.float64(one.get(name, fixed.get(name, 0.0))) for name in names}
+        title: scaled_base({name: float(one.get(name, fixed.get(name, 0.0))) for name in names})
         for title, one in given.items()
-    }  # fmt: skip
+    }
 
 
 def experiment_parts(experiments: Sequence[Experiment], names: Sequence[str]) -> Parts:

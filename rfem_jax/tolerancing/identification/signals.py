@@ -108,11 +108,15 @@ def _of_forces(run: Any) -> Iterator[Column]:
         yield from _components(f"{name}_force_", "N", lambda history=history: history.force)
         yield from _components(f"{name}_moment_", "N m", lambda history=history: history.moment)
     for name, history in run.couplings.items():
-        for side, slides in enumerate(_sliding(run, name)):
+        sliding = _sliding(run, name)
+        for side, slides in enumerate(sliding):
             what, unit = ("force", "N") if slides else ("moment", "N m")
             column = column_name(f"{name}_{('first', 'second')[side]}_{what}", unit)
             yield column, lambda history=history, side=side: history.loads[:, side]
-        yield column_name(f"{name}_deflection", "m" if slides else "rad"), lambda history=history: history.deflection
+        yield (
+            column_name(f"{name}_deflection", "m" if sliding[1] else "rad"),
+            lambda history=history: history.deflection,
+        )
     for joint, state in run.contacts.items():
         for n, contact in enumerate(CONTACT_NAMES):
             yield column_name(f"{joint}_penetration_{contact}", "m"), lambda one=state, n=n: one.penetration[:, n]

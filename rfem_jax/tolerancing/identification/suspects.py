@@ -24,7 +24,7 @@ from scipy.stats import chi2
 from rfem_jax.description.tasks.identification import unit_of_column
 from rfem_jax.tolerancing.identification.fit_tests import DOUBT, SignalFit, tested
 from rfem_jax.tolerancing.identification.levenberg_marquardt import Searches
-from rfem_jax.tolerancing.identification.predictions import Predictor
+from rfem_jax.tolerancing.identification.predictions import Predictor, scaled_base
 from rfem_jax.tolerancing.identification.residuals import Residuals, robust
 from rfem_jax.tolerancing.identification.sensor_filters import sensed
 from rfem_jax.tolerancing.layout import show_error, show_number
@@ -115,7 +115,7 @@ def _of_errors(residuals: Residuals, theta: np.ndarray) -> tuple[list[str], list
     for e, known in enumerate(residuals.predictors) if names else ():
         fixed: dict[str, Any] = {**known.base, **estimate}
         point = np.array([[float(fixed.get(name, 0.0)) for name in names]])
-        rest = {name: np.float64(value) for name, value in fixed.items() if name not in names}
+        rest = scaled_base({name: float(value) for name, value in fixed.items() if name not in names})
         found = Predictor(known.problem, known.columns, names, rest, known.given_times).at(point, derivatives=True)
         assert found.derivatives is not None, "asked for"
         for s, (one, part) in enumerate(zip(residuals.signals, residuals.slices, strict=True)):
