@@ -34,10 +34,15 @@ function experimentSection(experiments, errors) {
     { label: "information", unit: "nat", value: (row) => last(row.gain), show: (value) => showNumber(value, 3) }, { label: "variance left", unit: "%", value: (row) => 100 * last(row.rest), show: (value) => showNumber(value, 3) },
     ...errors.map((one, i) => ({ label: one.error, value: (row) => last(row.deviations)[i], show: (value) => showNumber(value, 3) })),
   ];
-  const chart = (one) => make("figure", {}, lineChart(errors.map((error, i) => ({ x: one.lengths, y: one.deviations.map((row) => numberOr(row[i], NaN)), name: error.error })),
-    "measured time, s", "deviation left", `Deviations left after experiment ${one.name}`, { width: 560, height: 300, yRange: [0, 1.05] }), make("figcaption", {}, `${one.name}: ${errors.map((error) => error.error).join(", ")}`));
+  const lines = [["line", []], ["dashes", [7, 4]], ["dots", [2, 3]], ["dashes and dots", [9, 3, 2, 3]]];
+  const words = errors.map((error, i) => `${error.error} (${lines[i % lines.length][0]})`).join(", ");
+  const left = (one, i) => one.deviations.map((row) => Math.log10(numberOr(row[i], NaN)));
+  const lowest = Math.min(0, ...experiments.flatMap((one) => errors.flatMap((error, i) => left(one, i).filter(Number.isFinite))));
+  const chart = (one) => make("figure", {}, lineChart(errors.map((error, i) => ({ x: one.lengths.map((value) => numberOr(value, NaN)), y: left(one, i), dash: lines[i % lines.length][1] })),
+    "measured time, s", "log10 of deviation left", `Deviations left after experiment ${one.name}`, { width: 560, height: 300, yRange: [lowest - 0.1, 0.05] }), make("figcaption", {}, `${one.name}: ${words}`));
+  const told = experiments.filter((one) => typeof last(one.gain) === "number");
   return section("Which experiment, and how long", make("p", { class: "hint" }, "Deviations are expected after the measurement, in those known before."),
-    sortableTable("Experiments at their whole length", columns, experiments, { id: "experiments" }), make("div", { id: "experiment-lengths", class: "charts" }, experiments.map(chart)));
+    sortableTable("Experiments at their whole length", columns, experiments, { id: "experiments" }), make("div", { id: "experiment-lengths", class: "charts" }, told.map(chart)));
 }
 
 function foundTable(errors, result) {
