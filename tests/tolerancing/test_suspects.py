@@ -90,3 +90,20 @@ def test_a_model_that_fits_has_no_suspects():
     quiet = {name: Sensor(3.0 * noise) for name, noise in NOISE.items()}
     found = solve(USUAL, sensors=quiet)
     assert found.status == "misfit" and found.suspects == ()  # a remainder smaller than its noise has no cause
+
+
+def test_what_cannot_be_tried_is_told():
+    """An error that acts by its square has no slope at zero; one of rounding must not be taken for it."""
+
+    def even(errors):
+        tiny = 1e-14 * errors["B.d_z"] / SIZE["B.d_z"] * jnp.sin(7.0 * jnp.asarray(TIMES))
+        bent = 0.1 * (errors["D.delta_z"] / SIZE["D.delta_z"]) ** 2 * jnp.sin(7.0 * jnp.asarray(TIMES))
+        values = machine(errors | {"D.delta_z": 0.0, "B.d_z": 0.0})
+        return values | {"rate_rad_s": values["rate_rad_s"] + bent + tiny}
+
+    problem = FunctionProblem(even, tuple(SIZE), tuple(NOISE), error_units={n: "m" for n in SIZE if ".d_" in n})
+    values, rng = problem(USUAL | {"D.delta_z": 6e-3})[0], np.random.default_rng(0)
+    data = {"time_s": TIMES} | {name: np.asarray(values[name]) + s * rng.normal(size=101) for name, s in NOISE.items()}
+    found = identify(problem, data, SENSORS, TOLERANCES, starts=2, samples=32, times=TIMES)
+    assert found.status == "misfit" and not {"D.delta_z", "B.d_z"} & {one.name for one in found.suspects}
+    assert "2 could not be tried, as their first effect vanishes at the estimate (D.delta_z, B.d_z)" in found.remarks[0]

@@ -68,8 +68,8 @@ def conclude(
     method = "laplace" if normal or drawn is None or drawn.effective < FEW else "importance"
     found = _interval(residuals, modes, drawn, method, confidence, searches.theta[best])
     status = _status(searches, modes, signals, normal or method == "importance")
-    suspects = find_suspects(residuals, searches, best, signals)
-    behind = suspicion(suspects)
+    suspects, untried = find_suspects(residuals, searches, best, signals)
+    behind = suspicion(suspects, untried)
     remarks = [*([behind] if behind else []), *_remarks(residuals, searches, modes, signals)]
     remarks += _interval_remarks(method, normal, drawn, far, samples)
     return replace(

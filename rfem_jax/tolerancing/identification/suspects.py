@@ -30,9 +30,11 @@ from rfem_jax.tolerancing.identification.sensor_filters import sensed
 from rfem_jax.tolerancing.layout import show_error, show_number
 
 SHOWN = 8  # suspects in the result
-SHARE = 0.5  # of the misfit, from which it is explained
+FEW = 6  # names in a sentence
+SHARE = 0.8  # of the misfit, from which it is explained
 ALIKE = 0.9  # of the best one's fall: nearly as good an explanation
 INDEPENDENT = 1e-8  # part of an effect that no unknown has, below which nothing can be said
+VANISHING = 1e-6  # of the largest first effect of a suspect of this unit, below which it is rounding
 
 
 @dataclass(frozen=True)
@@ -51,12 +53,14 @@ class Suspect:
     named: bool
 
 
-def find_suspects(residuals: Residuals, searches: Searches, w: int, fits: Sequence[SignalFit]) -> tuple[Suspect, ...]:
-    """The suspects that would lower the chi-square most, at the end of search w; none where all signals fit, or leave
-    less than their noise."""
+def find_suspects(
+    residuals: Residuals, searches: Searches, w: int, fits: Sequence[SignalFit]
+) -> tuple[tuple[Suspect, ...], tuple[str, ...]]:
+    """The suspects that would lower the chi-square most, at the end of search w, and the names of those that cannot be
+    tried, as their first effect vanishes; none where all signals fit, or leave less than their noise."""
     excess = sum(one.chi_square - (0.0 if one.estimated else one.freedom) for one in fits)
     if all(one.verdict == "fits" for one in fits) or excess <= 0.0:
-        return ()
+        return (), ()
     names, units, columns = _of_errors(residuals, searches.theta[w])
     faults = _of_sensors(residuals, searches.theta[w])
     columns = np.concatenate([columns, *(one[:, None] for _, _, one in faults)], axis=1)
@@ -67,9 +71,12 @@ def find_suspects(residuals: Residuals, searches: Searches, w: int, fits: Sequen
     size = np.sum(weight * columns**2, axis=0)
     alone = columns - jacobian @ (inverse @ (jacobian.T @ (weight * columns)))
     own = np.sum(weight * columns * alone, axis=0)
-    told = np.isfinite(own) & (size > 0.0) & (own > INDEPENDENT * size)
+    shown = np.sqrt(np.nan_to_num(size))
+    largest = np.array([shown[[one == unit for one in units]].max() for unit in units])
+    vanishing = tuple(name for name, one, most in zip(names, shown, largest, strict=True) if one <= VANISHING * most)
+    told = np.isfinite(own) & (shown > VANISHING * largest) & (own > INDEPENDENT * size)
     if not told.any():
-        return ()
+        return (), vanishing
     score = np.sum(weight * alone * r[:, None], axis=0)
     fall = np.where(told, score**2 / np.where(told, own, 1.0), 0.0)
     found, limit = [], chi2.isf(DOUBT / int(told.sum()), 1)
@@ -79,26 +86,30 @@ def find_suspects(residuals: Residuals, searches: Searches, w: int, fits: Sequen
         named = bool(fall[i] > limit and (would_fit or share > SHARE))
         deviation = float(1.0 / np.sqrt(own[i]))
         found.append(Suspect(names[i], units[i], float(value), deviation, float(fall[i]), share, would_fit, named))
-    return tuple(found)
+    return tuple(found), vanishing
 
 
-def suspicion(suspects: Sequence[Suspect]) -> str | None:
-    """In a sentence what is behind the misfit, or that nothing known is."""
-    if not suspects:
-        return None
-    best = suspects[0]
+def suspicion(suspects: Sequence[Suspect], vanishing: Sequence[str]) -> str | None:
+    """In a sentence what is behind the misfit, or that nothing that could be tried is."""
+    untried = ""
+    if vanishing:
+        few = f"{', '.join(vanishing[:FEW])}{' ...' if len(vanishing) > FEW else ''}"
+        untried = f"; {len(vanishing)} could not be tried, as their first effect vanishes at the estimate ({few})"
     if not any(one.named for one in suspects):
-        return (
-            f"No other error, parameter or fault of a sensor explains the misfit: the best, {best.name}, would explain "
-            f"{100.0 * best.share:.2g} % of it; look for an effect that the model lacks, a disturbance or wrong noise."
-        )
+        if not (suspects or vanishing):
+            return None
+        text = "No other error, parameter or fault of a sensor explains the misfit"
+        if suspects:
+            best = suspects[0]
+            text += f": the best, {best.name}, would explain {100.0 * best.share:.2g} % of it"
+        return f"{text}{untried}; look for an effect that the model lacks, a disturbance or wrong noise."
     best = next(one for one in suspects if one.named)
     alike = [one.name for one in suspects if one is not best and one.named and one.fall > ALIKE * best.fall]
     text = (
         f"{best.name}, which is no unknown, explains {100.0 * best.share:.3g} % of the misfit with "
         f"{_shown(best.value, best.unit, 3)} +- {_shown(best.deviation, best.unit, 2)} to first order"
     )
-    text += ", and all signals would fit" if best.fits else ", and something would still be left over"
+    text += ", and all signals would fit" if best.fits else f", and something would still be left over{untried}"
     return f"{text}; nearly as well would {', '.join(alike)}." if alike else f"{text}. Make it an unknown."
 
 
