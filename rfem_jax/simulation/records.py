@@ -2,7 +2,8 @@
 
 Place in the pipeline: section_loads, observation -> **records** -> integration; Problem asks for what its metrics read.
 
-    LINK.sections           internal forces and moments along a link, and stresses: `SectionHistory`
+    LINK.sections           internal forces and moments along a link, and stresses: `SectionHistory`;
+                            LINK@FRACTION.sections of the one section at a fraction of the length
     LINK.deflection         displacement (times, 3) [m] of its far end from its place on the undeformed link, in the
                             link's frame; LINK@FRACTION.deflection of the point at a fraction of the length
     JOINT.turning           rate (times,) [rad/s] of the child against the parent about the joint's axis, of a joint
@@ -30,7 +31,13 @@ from rfem_jax.mechanics.algebra.vectors import dot
 from rfem_jax.mechanics.dynamics.base_loads import shaking_load
 from rfem_jax.mechanics.dynamics.loads import velocities
 from rfem_jax.mechanics.dynamics.point_paths import PointMotion
-from rfem_jax.mechanics.dynamics.section_loads import loads_of_sections, stress_squares
+from rfem_jax.mechanics.dynamics.section_loads import (
+    Moving,
+    SectionLoads,
+    loads_of_section,
+    loads_of_sections,
+    stress_squares,
+)
 from rfem_jax.mechanics.kinematics.motion import Motion
 from rfem_jax.mechanics.model.model import BASE, Model, State, Topology, rfe_fractions
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
@@ -65,26 +72,44 @@ class PerfectPath(NamedTuple):
 class SectionHistory(eqx.Module):
     """Sections of a link at the saved times: place (sections,) [m] along the link; resultants (times, 6, sections):
     axial and shear forces N, Q_y, Q_z [N], torque T and bending moments M_y, M_z [N m], which the part with the larger
-    x exerts; edge: stresses at points of the section's edge per unit of N, M_y, M_z and T, None if not known."""
+    x exerts; edge: stresses at points of the section's edge per unit of N, M_y, M_z and T, None if not known; axial: EA
+    [N] of the link."""
 
     place: Float[Array, "*times sections"]
     resultants: Float[Array, "*times 6 sections"]
     edge: Float[Array, "4 points"] | None
+    axial: Float[Array, ""] | None = None
 
     @property
     def stress_squares(self) -> Float[Array, "*times points sections"]:
         """Squares of the von Mises stress [Pa^2] of axial force, bending and torsion at points of the edge."""
-        if self.edge is None:
-            raise InputError(
-                "Argument `edge` of a section must be given for stresses, but is missing; write `edge_y`, `edge_z`, "
-                "`edge_modulus` and `torsion_modulus` into the section."
-            )
-        return stress_squares(jnp.asarray(self.edge), jnp.asarray(self.resultants))
+        return stress_squares(self._known_edge, jnp.asarray(self.resultants))
 
     @property
     def stress(self) -> Float[Array, "*times sections"]:
         """Largest von Mises stress [Pa] at the edge of every section."""
         return safe_sqrt(jnp.max(self.stress_squares, axis=-2))
+
+    def direct_stress(self, side: str) -> Float[Array, "*times sections"]:
+        """Stress [Pa] along the link in the middle of a side of the section, "y", "-y", "z" or "-z" in the link's axes:
+        what a strain gauge there feels (theory (17.15))."""
+        edge, resultants = self._known_edge, jnp.asarray(self.resultants)
+        per_moment = {"y": jnp.min(edge[2]), "-y": jnp.max(edge[2]), "z": jnp.max(edge[1]), "-z": jnp.min(edge[1])}
+        return edge[0, 0] * resultants[..., 0, :] + per_moment[side] * resultants[..., 5 if "y" in side else 4, :]
+
+    def strain(self, side: str) -> Float[Array, "*times sections"]:
+        """`direct_stress` over Young's modulus."""
+        assert self.axial is not None, "runs know it"
+        return self.direct_stress(side) / (self._known_edge[0, 0] * self.axial)
+
+    @property
+    def _known_edge(self) -> Float[Array, "4 points"]:
+        if self.edge is None:
+            raise InputError(
+                "Argument `edge` of a section must be given for stresses, but is missing; write `edge_y`, `edge_z`, "
+                "`edge_modulus` and `torsion_modulus` into the section."
+            )
+        return jnp.asarray(self.edge)
 
 
 def require_records(model: Model, names: str | Iterable[str]) -> tuple[str, ...]:
@@ -112,7 +137,7 @@ def _require_record(model: Model, name: str) -> None:
         raise InputError(
             f"Argument `record` must name records, but {name!r} is not a record; {suggestion(name, every)}"
         )
-    of = divided(owner)[0] if kind == "deflection" else owner
+    of = divided(owner)[0] if kind in OF_LINKS else owner
     if of not in known[kind]:
         special = {
             "bearing": "joints with a `bearing`", "friction_loss": "joints with friction", PERFECT_PATH: "points",
@@ -133,12 +158,21 @@ def instant_records(
         if name == "shaking":
             records[name] = shaking_load(model, actual, instant.base, instant.frame_loads)
         if kind == "sections":
-            records[name] = loads_of_sections(model, actual, state, instant, actual.topology.links.index(owner))
+            records[name] = sections_of(model, actual, state, instant, owner)
         if kind == "deflection":
             records[name] = deflection(actual, instant, *divided(owner))
         if kind == "turning":
             records[name] = _turning(actual, instant, actual.topology.joints.index(owner))
     return records
+
+
+def sections_of(model: Model, actual: ModelWithErrors, state: State, now: Moving, owner: str) -> SectionLoads:
+    """Loads in the sections of "LINK", or in the one of "LINK@FRACTION"."""
+    name, fraction = divided(owner)
+    link = actual.topology.links.index(name)
+    if "@" in owner:
+        return loads_of_section(model, actual, state, now, link, fraction)
+    return loads_of_sections(model, actual, state, now, link)
 
 
 def finished_records(
@@ -155,8 +189,9 @@ def finished_records(
         owner, _, kind = name.rpartition(".")
         if kind == "sections":
             edges = model.section.edges
-            edge = edges[model.topology.links.index(owner)] if edges else None
-            records[name] = SectionHistory(saved[name].place[0], saved[name].resultants, edge)
+            link = model.topology.links.index(divided(owner)[0])
+            edge, axial = edges[link] if edges else None, model.section.stiffness[0, link]
+            records[name] = SectionHistory(saved[name].place[0], saved[name].resultants, edge, axial)
         elif kind == "friction_loss":
             joint = model.topology.joints.index(owner)
             laws = sorted((model.friction or {}).items())

@@ -56,6 +56,7 @@ from rfem_jax.simulation.records import (
     deflection,
     finished_records,
     require_records,
+    sections_of,
 )
 from rfem_jax.simulation.run import CouplingHistory, DriveHistory, Energy, Loads, Metrics, PointPath
 
@@ -353,7 +354,7 @@ def _saved(model: Model, actual: ModelWithErrors, state: State, still: Still, as
     for name in asked:
         owner, _, kind = name.rpartition(".")
         if kind == "sections":
-            records[name] = loads_of_sections(model, actual, state, still, model.topology.links.index(owner))
+            records[name] = sections_of(model, actual, state, still, owner)
         if kind == "deflection":
             records[name] = deflection(actual, still, *divided(owner))
         if name == RECORD:

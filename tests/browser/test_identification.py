@@ -19,9 +19,9 @@ from .test_results import table, task_tab
 def identified(tmp_path, monkeypatch):
     """A function that writes the results of these tables, and returns the folder."""
     monkeypatch.setattr(study_problem, "build_problem", build)
-    measure(tmp_path / "measured.csv")
 
-    def write(tables):
+    def write(tables, force=0.0):
+        measure(tmp_path / "measured.csv", force=force)
         path = tmp_path / "study.toml"
         path.write_text(STUDY + tables, encoding="utf-8")
         report = report_on(load_study(path), "identification")
@@ -65,12 +65,31 @@ def test_errors_intervals_curves_and_fits_are_shown(identified, open_page):
 
 
 def test_what_signals_can_tell_is_shown_without_data(identified, open_page):
-    out = identified(TABLES.replace('data = "measured.csv"\n', ""))
+    more = 'experiments = { tilted = { "D.delta_z" = "0.1 deg" } }\n'
+    out = identified(TABLES.replace('data = "measured.csv"\n', more))
     page = open_page(out / "report.html")
     task_tab(page, "Identification")
     head, rows = table(page, "#identified-errors")
     assert head == ["error", "deviation before", "deviation after"] and rows[1][1].endswith(" mm")
-    assert not page.all("#identification-curves") and page.complaints() == []
+    assert not page.all("#identification-curves") and not page.all("#suspects")
+    found = json.loads((out / "identification.json").read_text(encoding="utf-8"))["experiments"]
+    head, rows = table(page, "#experiments")
+    assert [row[0] for row in rows] == ["as given", "tilted"]
+    shown = rows[1][head.index("D.d_y")]
+    assert float(shown) == pytest.approx(found[1]["deviations"][-1][1], rel=1e-2)
+    assert len(page.all("#experiment-lengths figure:nth-child(2) polyline")) == 2
+    assert page.complaints() == []
+
+
+def test_what_is_behind_a_misfit_is_shown(identified, open_page, tmp_path):
+    text = TABLES.replace('offset = "1 N"', 'offset = "0 N"')
+    out = identified(text, force=3.0)
+    page = open_page(out / "report.html")
+    task_tab(page, "Identification")
+    found = json.loads((out / "identification.json").read_text(encoding="utf-8"))["suspects"]
+    _, rows = table(page, "#suspects")
+    assert found[0]["name"] == "offset of A_force_x_N" == rows[0][0] and rows[0][-1] == "explains it"
+    assert page.complaints() == []
 
 
 def test_the_errors_of_production_are_shown(identified, open_page, tmp_path):

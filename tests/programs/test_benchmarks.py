@@ -4,7 +4,9 @@ import functools
 import importlib.util
 import json
 import re
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.programs.conftest import rows_of
@@ -187,6 +189,17 @@ def test_geared_five_bar_by_exudyn(run_program):
     said = run_program("benchmarks/exudyn_couplings.py")
     differences = [float(line.split()[-1]) for line in said.splitlines() if " at 0." in line]
     assert len(differences) == 24 and max(map(abs, differences)) < 5e-7
+
+
+def test_measurements_by_exudyn(run_program, tmp_path):
+    """With long steps and few elements: the table has the signals at their times, near those of the tests' file."""
+    run_program("benchmarks/exudyn_measured.py", "--out", tmp_path / "new.csv", "--rfes", 5, "--step", 5e-4)
+    new, kept = (
+        np.genfromtxt(file, delimiter=",", names=True)
+        for file in (tmp_path / "new.csv", Path(__file__).parents[1] / "tolerancing" / "measured_by_exudyn.csv")
+    )
+    for column in kept.dtype.names:
+        np.testing.assert_allclose(new[column], kept[column], atol=0.3)
 
 
 def test_time_of_exudyn(run_program):

@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import FunctionProblem, Metric, load_study
+from rfem_jax import FunctionProblem, InputError, Metric, load_study
 from rfem_jax.report.command_line import main
-from rfem_jax.report.files import history_columns
+from rfem_jax.report.files import axes_columns, history_columns
 from rfem_jax.report.page.folder import folder_content
 from rfem_jax.report.tasks.catalogue import report_on
 from rfem_jax.report.tasks.task_overview import tasks_text
@@ -67,19 +67,19 @@ def build(study, metrics, model=None, trials=None):
         return FunctionProblem(load, tuple(TRUTH), [Metric("D.rms_moment", "N m")], error_units={"D.d_y": "m"})
     names = ["time_s", *(one.name for one in metrics)]
     return FunctionProblem(
-        lambda errors: {name: signals(errors)[name] for name in names}, tuple(TRUTH),
+        lambda errors: {name: signals(errors)[name] for name in names}, (*TRUTH, "D.delta_z"),
         [Metric(name) for name in names], error_units={"D.d_y": "m"},
     )  # fmt: skip
 
 
-def measure(path, noise=1.0):
-    """A table in which the force is sampled at every second time only."""
+def measure(path, noise=1.0, force=0.0):
+    """A table in which the force is sampled at every second time only, by a sensor that adds `force` [N]."""
     rng, values = np.random.default_rng(0), signals(TRUTH)
     lines = ["time_s, rate_rad_s, A_force_x_N"]
     for k in range(1, 100):
         rate = float(values["rate_rad_s"][k]) + 0.02 * noise * rng.normal()
-        force = float(values["A_force_x_N"][k]) + 0.3 * noise * rng.normal()
-        lines.append(f"{TIMES[k]:.3f}, {rate:.5f}, {f'{force:.5f}' if k % 2 else ''}")
+        load = float(values["A_force_x_N"][k]) + force + 0.3 * noise * rng.normal()
+        lines.append(f"{TIMES[k]:.3f}, {rate:.5f}, {f'{load:.5f}' if k % 2 else ''}")
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
@@ -237,13 +237,21 @@ def test_other_data_and_a_model_that_does_not_explain_them(path, tmp_path, capsy
 
 
 def test_without_data_it_tells_what_signals_can_tell(path, tmp_path, capsys):
-    path.write_text(STUDY + TABLES.replace('data = "measured.csv"\n', ""), encoding="utf-8")
+    more = 'experiments = { tilted = { "D.delta_z" = "0.1 deg" } }\n'
+    path.write_text(STUDY + TABLES.replace('data = "measured.csv"\n', more), encoding="utf-8")
     assert main(["identify", str(path), "--out", str(tmp_path / "out")]) == 0
-    assert "Identifiability of 2 unknowns" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "Identifiability of 2 unknowns" in printed and "Which experiment tells most" in printed
+    assert max(len(line) for line in printed.splitlines() if str(tmp_path) not in line) <= WIDTH
     found = json.loads((tmp_path / "out" / "identification.json").read_text(encoding="utf-8"))
     for row in found["errors"]:
         assert 0.0 < row["expected_deviation"] < 0.3 * row["prior_deviation"]
-    assert not list((tmp_path / "out").glob("*.png"))
+    given, tilted = found["experiments"]
+    assert given["name"] == "as given" and tilted["name"] == "tilted"
+    left = [row["expected_deviation"] / row["prior_deviation"] for row in found["errors"]]
+    np.testing.assert_allclose(given["deviations"][-1], left, rtol=1e-12)
+    np.testing.assert_allclose(tilted["lengths"], np.linspace(0.05, 0.5, 10), atol=6e-3)
+    assert [one.name for one in (tmp_path / "out").glob("*.png")] == ["identification_lengths.png"]
 
 
 def test_check_says_what_is_asked(path):
@@ -261,6 +269,13 @@ def test_check_says_what_is_asked(path):
         ("starts = 4", 'unknowns = ["D.d_z"]', ("[identification]", "`unknowns`", "`D.d_z`", "tolerances")),
         ("starts = 4", 'at = { "Q.d_z" = "1 mm" }', ("`identification`", "`Q.d_z`")),
         ("starts = 4", 'bounds = { "D.d_y" = ["1 mm", "0 mm"] }', ("[identification]", "`bounds`", "rise")),
+        ("starts = 4", "experiments = 3", ("[identification]", "`experiments`", "slower")),
+        ("starts = 4", 'experiments = { a = { "Q.d_z" = "1 mm" } }', ("`identification`", "`a`", "`Q.d_z`")),
+        (
+            '"0.02 rad/s"',
+            '"0.02 rad/s", filter = "low_pass"',
+            ("signals.rate_rad_s]", "`filter_time`", "both, or none"),
+        ),
         ("starts = 4", 'time_shift = "-1 s"', ("[identification]", "`time_shift`", "negative")),
         ("starts = 4", "time_shift = inf", ("[identification]", "`time_shift`", "finite")),
         ("starts = 4", "data = 3", ("[identification]", "`data`", "CSV")),
@@ -305,14 +320,48 @@ step = "2 ms"
 """
 TURNS = '[[drives]]\njoint = "A"\nkind = "moment_ramp"\nmoment = 1.0\nrise_time = 0.1\n'
 SLIDES = '[[drives]]\njoint = "G"\nkind = "force_ramp"\nforce = 2.0\nrise_time = 0.1\n'
+IN_BASE = 'parent = "base"'
+LOOSE = 'clearance = { radial = "0.05 mm", length = "20 mm", stiffness = "60 kN/mm^1.5", restitution = 0.9 }'
+FORCES = """
+[[mechanism.springs]]
+name = "coil"
+links = ["base", "block"]
+points = [[0.1, 0.0, 0.4], 0.02]
+stiffness = 200.0
+[[mechanism.forces]]
+name = "push"
+link = "block"
+position = 0.05
+force = [0, 1.0, 2.0]
+[[mechanism.forces]]
+kind = "point_moment"
+name = "twist"
+link = "block"
+position = 0.05
+moment = [0, 0.1, 0.0]
+[[mechanism.couplings]]
+name = "rack"
+joints = ["A", "G"]
+ratio = "20 mm/rad"
+stiffness = "2 kN/m"
+"""
 OF_CASES_ONLY = ("_J", "_loss_J", "_dissipation_J")  # energies are no signals
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("drives", [TURNS, SLIDES, TURNS + SLIDES])
+@pytest.mark.parametrize(
+    "drives",
+    [TURNS, SLIDES, TURNS + SLIDES, FORCES + TURNS, pytest.param(LOOSE, marks=pytest.mark.long)],
+    ids=["turns", "slides", "both", "forces", "clearance"],
+)
 def test_signals_are_the_columns_that_a_run_writes(drives, tmp_path):
-    path = tmp_path / "study.toml"
-    path.write_text(MOVES + drives, encoding="utf-8")
+    path, mechanism = tmp_path / "study.toml", MOVES
+    if drives == FORCES + TURNS:
+        mechanism = mechanism.replace("[mechanism]\n", "[mechanism]\nshaking_point = [0, 0, 0]\n")
+        mechanism = f'metrics = ["rms_shaking_force"]\n{mechanism}'
+    if drives == LOOSE:
+        mechanism, drives = mechanism.replace(IN_BASE, f"{IN_BASE}\n{LOOSE}"), TURNS
+    path.write_text(mechanism + drives, encoding="utf-8")
     study = load_study(path)
     (run,) = run_cases(study)[1].values()
     written, known = history_columns(study, run), dict(run_columns(run))
@@ -322,3 +371,16 @@ def test_signals_are_the_columns_that_a_run_writes(drives, tmp_path):
         np.testing.assert_array_equal(np.asarray(known[name]()), written[name], err_msg=name)
         if name != "time_s":
             np.testing.assert_array_equal(np.asarray(signal(name)(run)), written[name])
+
+
+@pytest.mark.slow
+def test_loads_in_other_axes_are_signals(tmp_path):
+    path = tmp_path / "study.toml"
+    path.write_text(MOVES + TURNS, encoding="utf-8")
+    study = load_study(path)
+    (run,) = run_cases(study)[1].values()
+    for axes in ("global", "child"):
+        for name, values in axes_columns(study, run.loads_in(axes), axes).items():
+            np.testing.assert_array_equal(np.asarray(signal(name)(run)), values)
+    with pytest.raises(InputError, match="A_force_local_x_N"):
+        signal("A_force_local_x_N")(run)

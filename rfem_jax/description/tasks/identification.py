@@ -23,6 +23,7 @@ from rfem_jax.description.basics.errors import (
 from rfem_jax.description.basics.tables import keys_of, read_table
 from rfem_jax.description.basics.units import DIMENSIONS, Quantity, quantity
 from rfem_jax.description.mechanism.mechanism import Mechanism
+from rfem_jax.description.parameters.deviations import require_deviation
 from rfem_jax.description.tasks.correction import AskedCorrection
 from rfem_jax.description.tasks.settings import MOST_SAMPLES, convert_all, fraction, set_fields, whole_number
 from rfem_jax.description.tasks.sweep import bounds_of
@@ -31,11 +32,14 @@ from rfem_jax.description.tolerances.tolerances import SpecifiedTolerances, erro
 from rfem_jax.labelled_data import column_name
 
 TIME = "time_s"
+STRAIN = "m/m"  # the unit of strains, by which their columns are known
 LOSSES = ("gaussian", "huber", "cauchy")
 PRIORS = ("tolerances", "flat")
+FILTERS = ("", "low_pass", "butterworth", "high_pass", "average")
 SENSOR_TABLES = ("signals", "candidates")  # by the names of columns
-_MEASURED = ("acceleration", "angle", "rate", "speed", "moment", "force", "length")
+_MEASURED = ("acceleration", "angle", "rate", "speed", "moment", "force", "length", "pressure")
 _UNITS = {column_name("", DIMENSIONS[name][1]): (name, DIMENSIONS[name][1]) for name in _MEASURED}
+_UNITS[column_name("", STRAIN)] = ("none", STRAIN)
 
 
 @dataclass(frozen=True)
@@ -48,18 +52,34 @@ class Sensor(ChecksItself):
         offset: standard deviation of an unknown constant that the sensor adds, likewise; 0 without one, inf for one of
             which nothing is known.
         gain: standard deviation of the sensor's unknown relative error of scale; 0 without one.
-    Raises: InputError for negative numbers.
+        filter: "low_pass" of first order, "butterworth", a low pass of second order, "high_pass" of first order, as of
+            an accelerometer that is coupled by a capacitor, or "average" over the last interval; "" without one.
+        filter_time: time constant T [s], or a string with a unit; the cut-off frequency is 1/(2 pi T). Of "average" the
+            interval.
+    Raises: InputError for negative numbers, and a filter without a time.
     """
 
     noise: float | None = None
     offset: float = 0.0
     gain: float = 0.0
+    filter: str = ""
+    filter_time: float = 0.0
 
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("gain", _deviation, "gain", "none")
+        checks.convert("filter", require_choice, FILTERS, "filter")
+        checks.convert("filter_time", _deviation, "filter_time", "time")
+        checks.relation(("filter", "filter_time"), self._require_time)
         for name in ("noise", "offset"):
             if getattr(self, name) is not None and not isinstance(getattr(self, name), str):  # of its column's unit
                 checks.convert(name, _deviation, name, "none")
+
+    def _require_time(self) -> None:
+        if bool(self.filter) != (0.0 < self.filter_time < inf):
+            raise InputError(
+                "Argument `filter_time` must be a positive time of a sensor with a `filter`, and of no other, but was "
+                f"{self.filter_time:g} s with the filter {self.filter!r}; give both, or none."
+            )
 
     def of_column(self, column: str) -> "Sensor":
         """The same with numbers in the unit of its column. Raises InputError for strings in another unit."""
@@ -89,6 +109,8 @@ class IdentificationTask(Task):
         prior: "tolerances", normal with the tolerances' means, deviations and correlations, or "flat" between bounds.
         bounds: {error: (low, high)} in rad and m, which estimates do not leave.
         at: {error: value} in rad and m of errors that are known; others are 0.
+        experiments: {name: {parameter, number of a drive, or error: deviation from its value}} of other experiments
+            with the same machine, which are compared where nothing is measured yet.
         time_shift: standard deviation [s] of the unknown delay of the measurements' clock; 0 without one.
         loss: "gaussian", or for data with outliers "huber" or "cauchy".
         confidence: of the intervals, between 0 and 1.
@@ -109,6 +131,7 @@ class IdentificationTask(Task):
     prior: str = "tolerances"
     bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
     at: dict[str, float] = field(default_factory=dict)
+    experiments: dict[str, dict[str, float]] = field(default_factory=dict)
     time_shift: float = 0.0
     loss: str = "gaussian"
     confidence: float = 0.95
@@ -127,6 +150,7 @@ class IdentificationTask(Task):
         checks.convert("loss", require_choice, LOSSES, "loss")
         checks.convert("bounds", bounds_of)
         checks.convert("at", error_quantities, "at")
+        checks.convert("experiments", _experiments)
         checks.convert("time_shift", _deviation, "time_shift", "time")
         convert_all(checks, ("starts", "iterations"), whole_number, 1, MOST_SAMPLES)
         convert_all(checks, ("samples",), whole_number, 16, MOST_SAMPLES)
@@ -178,11 +202,19 @@ class IdentificationTask(Task):
         with located(place):
             return task.with_unknowns(tolerances)
 
-    def resolved(self, mechanism: Mechanism, name: str) -> "Task":
-        """As `Task.resolved`; what a correction adjusts and reduces must be there, too."""
+    def resolved(self, mechanism: Mechanism, name: str) -> "IdentificationTask":
+        """As `Task.resolved`; what experiments change and a correction adjusts and reduces must be there, too."""
+        problems = Problems()
+        for title, values in self.experiments.items():
+            for error in values:
+                with problems.noted():
+                    require_deviation(mechanism, error, f"`{name}`, experiment `{title}`")
         if self.correction is not None:
-            self.correction.require_known(mechanism, name)
-        return super().resolved(mechanism, name)
+            with problems.noted():
+                self.correction.require_known(mechanism, name)
+        problems.refuse()
+        resolved: Any = super().resolved(mechanism, name)
+        return resolved
 
     def with_unknowns(self, tolerances: SpecifiedTolerances | None) -> "IdentificationTask":
         """The same task with its unknowns named. Raises InputError where they have neither tolerances nor bounds."""
@@ -254,6 +286,15 @@ def _deviation(value: Quantity, where: str, dimension: str) -> float:
     if number < 0.0:
         raise InputError(f"{subject(where)} must not be negative, but was {value!r}; give a standard deviation.")
     return number
+
+
+def _experiments(experiments: object) -> dict[str, dict[str, float]]:
+    if not isinstance(experiments, dict):
+        raise InputError(
+            f"Argument `experiments` must be a table of experiments, but was {experiments!r}; write for example "
+            '{ slower = { "drive.moment" = "-1 N m" } }.'
+        )
+    return {str(name): error_quantities(values, f"experiments.{name}") for name, values in experiments.items()}
 
 
 def _path(path: object) -> str:

@@ -90,20 +90,42 @@ def loads_of_sections(model: Model, actual: ModelWithErrors, state: State, now: 
             at_sdes = elasticity.section_loads(actual, state, now.motion.relative)[:, first : first + n - 1]
             parts.append(((np.arange(n - 1) + 0.5) / (n - 1) * length, at_sdes))
         if sections:
-            rfes = [rfe for rfe, _, _ in sections]
-            x = jnp.stack([_beam_place(actual, link, rfe, x) for rfe, x, _ in sections])
-            wrench = _reference_loads(actual, state, now, link, bodies, rfes)
-            wrench = wrench + _piece_loads(
-                model, actual, link, bodies.at(rfes), _reference_positions(actual, link, rfes), x
-            )
-            if now.frame_loads is not None and now.frame_loads.lines is not None:
-                start = _reference_positions(actual, link, rfes)
-                wrench = wrench - _line_loads(actual, now.frame_loads, link, bodies.at(rfes), rfes, (start, x))
-            wrench = wrench + _attachment_loads(attachments, sections, n, SAME_PLACE * length)
-            parts.append((x + _middles(actual, link, rfes), _section_resultants(bodies.at(rfes), x, wrench)))
+            parts.append(_loads_at(model, actual, state, now, link, (bodies, attachments, sections)))
         if not parts:
             return SectionLoads(jnp.zeros((0,)), jnp.zeros((6, 0)))
         return SectionLoads(*(jnp.concatenate(part, axis=-1) for part in zip(*parts, strict=True)))
+
+
+def loads_of_section(
+    model: Model, actual: ModelWithErrors, state: State, now: Moving, link: int, fraction: float
+) -> SectionLoads:
+    """Internal forces and moments of a link at one instant in the one section at a fraction of its length; those beyond
+    all that acts on the link there."""
+    with jax.named_scope("section_loads"):
+        n = actual.topology.elements[link]
+        lengths, _ = rfe_fractions(n)
+        rfe = int(np.searchsorted(np.cumsum(lengths)[:-1], fraction, side="right"))
+        bodies, length = _bodies_of(actual, now, link), _length(actual, link)
+        attachments = _attachments(model, actual, now, link, bodies)
+        x = fraction * length - _middles(actual, link, [rfe])[0]
+        return SectionLoads(*_loads_at(model, actual, state, now, link, (bodies, attachments, [(rfe, x, None)])))
+
+
+def _loads_at(
+    model: Model, actual: ModelWithErrors, state: State, now: Moving, link: int,
+    beside: tuple[_Bodies, list[_Attachment], list[tuple[int, Array, int | None]]],
+) -> tuple[Array, Array]:  # fmt: skip
+    """Places (sections,) [m] and resultants (6, sections) of sections, by the equilibrium of the pieces up to them."""
+    bodies, attachments, sections = beside
+    rfes, n = [rfe for rfe, _, _ in sections], actual.topology.elements[link]
+    x = jnp.stack([_beam_place(actual, link, rfe, x) for rfe, x, _ in sections])
+    wrench = _reference_loads(actual, state, now, link, bodies, rfes)
+    start = _reference_positions(actual, link, rfes)
+    wrench = wrench + _piece_loads(model, actual, link, bodies.at(rfes), start, x)
+    if now.frame_loads is not None and now.frame_loads.lines is not None:
+        wrench = wrench - _line_loads(actual, now.frame_loads, link, bodies.at(rfes), rfes, (start, x))
+    wrench = wrench + _attachment_loads(attachments, sections, n, SAME_PLACE * _length(actual, link))
+    return x + _middles(actual, link, rfes), _section_resultants(bodies.at(rfes), x, wrench)
 
 
 def stress_squares(

@@ -75,7 +75,10 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
         }  # fmt: skip
         if not task.data:
             on_stage("Finding what signals can tell")
-            return identifiability(problem, {**task.signals, **task.candidates}, points=2 * task.starts, **common)
+            return identifiability(
+                problem, {**task.signals, **task.candidates}, points=2 * task.starts,
+                experiments=task.experiments, **common,
+            )  # fmt: skip
 
         def find(data: Data, progress: ProgressOption = False) -> Identification:
             return identify(
@@ -117,6 +120,7 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
         visibility = visibility_content(result.visibility)
         if isinstance(result, Identifiability):
             content = {"status": result.status, "errors": result.rows(), "visibility": visibility, "units": units}
+            content["experiments"] = [asdict(one) for one in result.experiments]
             return self.write_both(folder, content, result.rows())
         content = {
             "status": result.status,
@@ -136,6 +140,7 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
             "correction": correction_content(result.correction),
             "visibility": visibility,
             "remarks": list(result.remarks),
+            "suspects": [asdict(one) for one in result.suspects],
             "steps": result.steps,
             "converged": result.converged,
             "units": units,
@@ -164,7 +169,8 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
     def simulations(self) -> list[str]:
         task = self.task
         if not task.data:
-            return [f"{2 * task.starts} with derivatives, at points of the prior"]
+            every = f" of each of {1 + len(task.experiments)} experiments" if task.experiments else ""
+            return [f"{2 * task.starts} with derivatives, at points of the prior{every}"]
         return [
             f"{task.starts} with derivatives in every step of the searches, of which there are usually about "
             f"{USUAL_STEPS}",
@@ -174,7 +180,7 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
 
     def work(self) -> float:
         task = self.task
-        steps = USUAL_STEPS if task.data else 2
+        steps = USUAL_STEPS if task.data else 2 * (1 + len(task.experiments))
         return GRADIENT * task.starts * steps + (task.samples if task.data else 0)
 
     def _of_correction(self) -> list[str]:
@@ -191,6 +197,9 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
         """Sensors in words."""
         if name in ("signals", "candidates"):
             return ", ".join(f"{column} {_sensor(one, unit_of_column(column))}" for column, one in value.items())
+        if name == "experiments":
+            changed = {key: ", ".join(f"{of} {x:+g} (SI)" for of, x in one.items()) for key, one in value.items()}
+            return "; ".join(f"{key}: {words}" for key, words in changed.items())
         if name == "bounds":
             return ", ".join(f"{error} {low:g} to {high:g} (SI)" for error, (low, high) in value.items())
         if name == "correction":
@@ -200,7 +209,9 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
     def draw(self, result: Result) -> dict[str, Figure]:
         if isinstance(result, Production):
             return {"production": production_figure(self.study, result)} if result.machines else {}
-        if isinstance(result, Identifiability) or not result.curves:
+        if isinstance(result, Identifiability):
+            return {"lengths": lengths_figure(self.study, result)} if result.status == "ok" else {}
+        if not result.curves:
             return {}
         figures = {"curves": curves_figure(self.study, result), "errors": errors_figure(self.study, result)}
         if len(result.weights):
@@ -213,6 +224,7 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
 def _sensor(one: Sensor, unit: str) -> str:
     said = "noise to be estimated" if one.noise is None else f"noise {one.noise:g} {unit}"
     said += f", offset {one.offset:g} {unit}" if one.offset else ""
+    said += f", {one.filter} of {one.filter_time:g} s" if one.filter else ""
     return f"({said}{f', gain {one.gain:g}' if one.gain else ''})"
 
 
@@ -221,6 +233,26 @@ def _thinned(curve: Curve) -> dict[str, Any]:
     rows = np.unique(np.linspace(0, len(curve.times) - 1, SHOWN).round().astype(int))
     arrays = {name: getattr(curve, name)[rows] for name in ("times", "measured", "before", "after")}
     return {"column": curve.column, "unit": unit_of_column(curve.column), "experiment": curve.experiment, **arrays}
+
+
+def lengths_figure(study: Study, result: Identifiability) -> Figure:
+    """How the expected standard deviations fall with the time that is measured, in each experiment."""
+    shown = result.experiments[:MOST_PANELS]
+    lowest = float(np.nanmin([np.nanmin(one.deviations) for one in shown if np.isfinite(one.gain).any()]))
+    figure = new_figure(8.4, 2.9 * ((len(shown) + 1) // 2) + 1.6)
+    panels, add_shared_legend = panel_grid(figure, len(shown), columns=min(2, len(shown)))
+    for one, axes in zip(shown, panels, strict=True):
+        for i, name in enumerate(result.names):
+            marker, colour = MARKERS[i % len(MARKERS)], CASE_COLOURS[i % len(CASE_COLOURS)]
+            axes.plot(one.lengths, one.deviations[:, i], marker=marker, color=colour, ms=3.5, label=name)
+        axes.set_title(one.name, loc="left")
+        axes.set_xlabel("measured time, s")
+        axes.set_ylabel("deviation left")
+        axes.set_yscale("log")
+        axes.set_ylim(0.7 * lowest, 1.2)
+    add_shared_legend(*panels[0].get_legend_handles_labels())
+    add_titles(figure, "Expected deviations after the measurement, of those before it", study)
+    return figure
 
 
 def curves_figure(study: Study, result: Identification) -> Figure:

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import norm
 
 from rfem_jax.description.tasks.identification import Sensors
-from rfem_jax.tolerancing.identification.fit_tests import SignalFit, chance, verdict_on, whiteness
+from rfem_jax.tolerancing.identification.fit_tests import SignalFit, tested
 from rfem_jax.tolerancing.identification.identification_result import Curve, Identification, ModeFound
 from rfem_jax.tolerancing.identification.levenberg_marquardt import Searches
 from rfem_jax.tolerancing.identification.observability import (
@@ -37,12 +37,13 @@ from rfem_jax.tolerancing.identification.posterior import (
 )
 from rfem_jax.tolerancing.identification.predictions import Prediction, interpolation_error
 from rfem_jax.tolerancing.identification.prior import Prior
-from rfem_jax.tolerancing.identification.residuals import Residuals, robust
+from rfem_jax.tolerancing.identification.residuals import Residuals
+from rfem_jax.tolerancing.identification.sensor_filters import filtered
 from rfem_jax.tolerancing.identification.signals import signal
+from rfem_jax.tolerancing.identification.suspects import find_suspects, suspicion
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
 
 COARSE = 0.3  # standard deviations of the noise: an error of interpolation that counts
-MAD_EFFICIENCY = 0.37  # of the median of absolute values beside the standard deviation, of normal numbers
 
 
 def conclude(
@@ -67,12 +68,16 @@ def conclude(
     method = "laplace" if normal or drawn is None or drawn.effective < FEW else "importance"
     found = _interval(residuals, modes, drawn, method, confidence, searches.theta[best])
     status = _status(searches, modes, signals, normal or method == "importance")
-    remarks = [*_remarks(residuals, searches, modes, signals), *_interval_remarks(method, normal, drawn, far, samples)]
+    suspects, untried = find_suspects(residuals, searches, best, signals)
+    behind = suspicion(suspects, untried)
+    remarks = [*([behind] if behind else []), *_remarks(residuals, searches, modes, signals)]
+    remarks += _interval_remarks(method, normal, drawn, far, samples)
     return replace(
         _without(residuals, searches, confidence, samples), status=status, method=method,
         modes=tuple(ModeFound(residuals.prior.errors(m.theta[:k]), m.cost, m.probability) for m in modes),
         effective=0.0 if drawn is None else drawn.effective, departure=far, signals=tuple(signals), visibility=seen,
-        **_samples(residuals, drawn), curves=tuple(_curves(residuals, searches, best)), remarks=tuple(remarks), **found,
+        **_samples(residuals, drawn), curves=tuple(_curves(residuals, searches, best)), remarks=tuple(remarks),
+        suspects=suspects, **found,
     )  # fmt: skip
 
 
@@ -162,17 +167,12 @@ def _fits(residuals: Residuals, searches: Searches, w: int, predictions: list[Pr
     found = []
     for s, (one, part) in enumerate(zip(residuals.signals, residuals.slices, strict=True)):
         r, j = misfit.residual[w, part], misfit.jacobian[w, part]
-        freedom, squares = len(r) - float(np.sum((j @ inverse) * j)), float(r @ r)
-        if residuals.loss != "gaussian":
-            freedom = MAD_EFFICIENCY * len(r)
-            squares = freedom * (1.4826 * float(np.median(np.abs(r)))) ** 2
         estimated = one.sensor.noise is None
-        by_chance = np.nan if estimated else chance(squares, freedom)
-        white = whiteness(robust(residuals.loss, r)[0] * r)
+        found_by = tested(residuals.loss, r, float(np.sum((j @ inverse) * j)), estimated, tests)
         predictor = residuals.predictors[one.experiment]
         values = predictions[one.experiment].values[0, predictor.columns.index(one.history.column)]
-        coarse = interpolation_error(predictor.times, values) / one.noise
-        verdict = verdict_on(squares, freedom, by_chance, white, tests)
+        shown = filtered(predictor.times, values, one.sensor)
+        coarse = interpolation_error(predictor.times, shown) / one.noise
         before = searches.first.residual[0, part]
         faults = residuals.faults(searches.theta[w], s)
         found.append(
@@ -180,8 +180,7 @@ def _fits(residuals: Residuals, searches: Searches, w: int, predictions: list[Pr
                 column=one.history.column, unit=signal(one.history.column).unit, experiment=one.experiment + 1,
                 samples=len(r), noise=one.noise, estimated=estimated, shift=faults["shift"], offset=faults["offset"],
                 gain=faults["gain"], remainder=one.noise * float(np.sqrt(np.mean(r**2))),
-                before=one.noise * float(np.sqrt(np.mean(before**2))), chi_square=squares, freedom=freedom,
-                chi_square_chance=by_chance, whiteness_chance=white, interpolation=coarse, verdict=verdict,
+                before=one.noise * float(np.sqrt(np.mean(before**2))), interpolation=coarse, **found_by._asdict(),
             )
         )  # fmt: skip
     return found

@@ -2,14 +2,14 @@
 
 Place in the pipeline: posterior of an identification, problem -> **correction** -> Correction.
 
-    minimise  sum_j w_j M(x_j + E u)   over the amounts u in their bounds                                (17.15)
+    minimise  sum_j w_j M(x_j + E u)   over the amounts u in their bounds                                (17.20)
 
 for every adjustment alone and for all together, from the samples x_j of the posterior with their weights w_j. The
 searches see `points` samples that represent them; what is told of the amounts found comes from all samples.
 
 Symbols: N samples, k unknowns, e (k + those adjusted besides) names, a adjustments, m metrics; u (a,) [rad, m];
 y (a,) = (u - low) / (high - low).
-Source: theory (17.15), (17.16); A. Shapiro, D. Dentcheva, A. Ruszczynski, Lectures on Stochastic Programming, 2nd ed.
+Source: theory (17.20), (17.21); A. Shapiro, D. Dentcheva, A. Ruszczynski, Lectures on Stochastic Programming, 2nd ed.
 (2014), 5 (sample average approximation).
 """
 

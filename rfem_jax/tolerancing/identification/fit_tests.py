@@ -9,13 +9,17 @@ Source: G. M. Ljung, G. E. P. Box, On a measure of lack of fit in time series mo
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from scipy.stats import chi2
 
+from rfem_jax.tolerancing.identification.residuals import robust
+
 DOUBT = 1e-3  # probability by chance, of one signal or all, below which a model is doubted
 LAGS = 20
+MAD_EFFICIENCY = 0.37  # of the median of absolute values beside the standard deviation, of normal numbers
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,28 @@ class SignalFit:
     whiteness_chance: float
     interpolation: float
     verdict: str
+
+
+class Tested(NamedTuple):
+    """Chi-square, degrees of freedom, chances and verdict of one signal; see `SignalFit`."""
+
+    chi_square: float
+    freedom: float
+    chi_square_chance: float
+    whiteness_chance: float
+    verdict: str
+
+
+def tested(loss: str, r: Float[np.ndarray, " n"], determined: float, estimated: bool, tests: int) -> Tested:
+    """The tests of one signal's residuals; `determined`: how many parameters it determines; `estimated`: whether its
+    noise was; `tests`: of how many this is one."""
+    freedom, squares = len(r) - determined, float(r @ r)
+    if loss != "gaussian":
+        freedom = MAD_EFFICIENCY * len(r)
+        squares = freedom * (1.4826 * float(np.median(np.abs(r)))) ** 2
+    by_chance = np.nan if estimated else chance(squares, freedom)
+    white = whiteness(robust(loss, r)[0] * r)
+    return Tested(squares, freedom, by_chance, white, verdict_on(squares, freedom, by_chance, white, tests))
 
 
 def whiteness(r: Float[np.ndarray, " n"]) -> float:

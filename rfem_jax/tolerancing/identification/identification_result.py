@@ -12,8 +12,14 @@ from jaxtyping import Float
 
 from rfem_jax.labelled_data import Arrays, Labelled, LabelledResult, Parts, Table, column_name, named_dimension
 from rfem_jax.tolerancing.identification.correction_result import Correction, percent
+from rfem_jax.tolerancing.identification.experiments_compared import (
+    Experiment,
+    experiment_arrays,
+    experiment_parts,
+)
 from rfem_jax.tolerancing.identification.fit_tests import SignalFit
 from rfem_jax.tolerancing.identification.observability import Visibility, combination
+from rfem_jax.tolerancing.identification.suspects import Suspect
 from rfem_jax.tolerancing.layout import show_error, show_number
 
 PARTS = 4  # of a combination in a table
@@ -106,7 +112,7 @@ class Identifiability(_OfVisibility):
     """What signals can tell of errors before any is measured.
 
     names, error_units (k); prior_deviation (k,) [rad, m]; visibility: see `Visibility`; failed: points of the prior,
-    of `points`, whose run failed.
+    of `points`, whose run failed; experiments: what each tells by its length, the one as given first.
     """
 
     names: tuple[str, ...]
@@ -115,6 +121,7 @@ class Identifiability(_OfVisibility):
     visibility: Visibility | None
     points: int
     failed: int
+    experiments: tuple[Experiment, ...] = ()
 
     index = ("error",)
 
@@ -139,7 +146,8 @@ class Identifiability(_OfVisibility):
         variables |= {"prior_deviation": before}
         variables |= {"expected_deviation": Labelled(("error",), after, "", "after it, in error_unit")}
         coordinates |= named_dimension("error", self.names, self.error_units)
-        return variables, coordinates, {"title": "Identifiability", "status": self.status}
+        further, places = experiment_arrays(self.experiments)
+        return variables | further, coordinates | places, {"title": "Identifiability", "status": self.status}
 
     def parts(self) -> Parts:
         """Expected deviations, combinations, signals."""
@@ -152,7 +160,8 @@ class Identifiability(_OfVisibility):
             for row in self.rows()
         ]
         table = Table(["error", "deviation before", "deviation after"], rows)
-        return [head, table, *self._visibility_parts("What the signals can tell")]
+        seen = self._visibility_parts("What the signals can tell")
+        return [head, table, *seen, *experiment_parts(self.experiments, self.names)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +177,8 @@ class Identification(_OfVisibility):
     sampled (N, k) [rad, m], weights (N,): samples of the posterior, none where there is no mode;
     prior_precision (k, k): zero where the prior is flat;
     signals: `SignalFit`s; curves: `Curve`s; visibility: at the estimate; remarks: further sentences; steps: of the
-    longest search; converged: searches, of `starts`; correction: what `correct` made of it, if a study asked for one.
+    longest search; converged: searches, of `starts`; suspects: where the model does not fit, what would explain it;
+    correction: what `correct` made of it, if a study asked for one.
     """
 
     names: tuple[str, ...]
@@ -199,6 +209,7 @@ class Identification(_OfVisibility):
     steps: int
     starts: int
     converged: int
+    suspects: tuple[Suspect, ...] = ()
     correction: Correction | None = None
 
     index = ("error",)

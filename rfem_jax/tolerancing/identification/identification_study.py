@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import norm
 
-from rfem_jax.description.basics.errors import InputError, require_choice
+from rfem_jax.description.basics.errors import InputError, located, require_choice
 from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.description.basics.units import quantity
 from rfem_jax.description.tasks.identification import LOSSES, Sensors, require_noise
@@ -23,11 +23,17 @@ from rfem_jax.simulation.specification import Simulation
 from rfem_jax.tolerancing.checks import ErrorValues
 from rfem_jax.tolerancing.designs.sweep_study import Bounds, read_fixed
 from rfem_jax.tolerancing.identification.conclusion import conclude
+from rfem_jax.tolerancing.identification.experiments_compared import AS_GIVEN, experiment_told, shared_bases
 from rfem_jax.tolerancing.identification.identification_result import Identifiability, Identification
 from rfem_jax.tolerancing.identification.levenberg_marquardt import Searches, search
 from rfem_jax.tolerancing.identification.measurements import Data, History, read_data, read_signals
-from rfem_jax.tolerancing.identification.observability import information_of, symmetric_unknowns, visibility_of
-from rfem_jax.tolerancing.identification.predictions import Predictor, scaled_base
+from rfem_jax.tolerancing.identification.observability import (
+    Visibility,
+    information_of,
+    symmetric_unknowns,
+    visibility_of,
+)
+from rfem_jax.tolerancing.identification.predictions import Prediction, Predictor, scaled_base
 from rfem_jax.tolerancing.identification.prior import Prior, read_prior
 from rfem_jax.tolerancing.identification.residuals import Residuals
 from rfem_jax.tolerancing.identification.signals import signal
@@ -124,6 +130,7 @@ def identifiability(
     bounds: Bounds | None = None,
     at: ErrorValues | None = None,
     sample_times: Any = None,
+    experiments: Mapping[str, ErrorValues] | None = None,
     time_shift: float | str = 0.0,
     points: int = 16,
     times: Any = None,
@@ -134,6 +141,8 @@ def identifiability(
     Args:
         signals: {column: Sensor(noise, ...)}, all candidates.
         sample_times: (n,) [s] at which all would be sampled; None: the times that a run saves.
+        experiments: {name: {parameter, number of a drive, or error: deviation}} of other experiments with the same
+            machine, as {"slower": {"drive.speed": "-2 rad/s"}}; what each tells is compared.
         points: of the prior, over which the information is averaged; the first one is its mean.
         problem, tolerances, unknowns, prior, bounds, at, time_shift, times, key: as of `identify`.
     Raises: InputError as `identify`, and for signals without noise.
@@ -143,27 +152,50 @@ def identifiability(
     for column, sensor in sensors.items():
         require_noise(column, sensor, "signals")
     known, fixed = _read_prior(problem, sensors, tolerances, unknowns, prior, bounds, at)
-    predictor = Predictor(problem, list(sensors), known.names, fixed, times)
-    key = jax.random.key(0) if key is None else key
-    z = _prior_points(known, key, whole_number(points, "points", 1))
-    prediction = predictor.at(known.errors(z), derivatives=True)
-    good = np.flatnonzero(np.isfinite(prediction.values).all(axis=(1, 2))).tolist()
-    seen = None
-    if good:
-        at_times = predictor.times if sample_times is None else np.asarray(sample_times, dtype=float)
+    bases = shared_bases(fixed, _read_experiments(problem, experiments, known, sensors))
+    z = _prior_points(known, jax.random.key(0) if key is None else key, whole_number(points, "points", 1))
+    compared, seen, bad = [], None, 0
+    for title, base in bases.items():
+        predictor = Predictor(problem, list(sensors), known.names, base, times)
+        prediction = predictor.at(known.errors(z), derivatives=True)
+        good = np.flatnonzero(np.isfinite(prediction.values).all(axis=(1, 2))).tolist()
+        at_times = predictor.times if good and sample_times is None else np.asarray(sample_times, dtype=float)
+        compared.append(experiment_told(title, known, predictor, prediction, sensors, at_times, shift))
+        if title == AS_GIVEN:
+            bad = len(z) - len(good)
+            seen = _seen_before(known, predictor, prediction, good, sensors, at_times, shift) if good else None
+    return Identifiability(known.names, known.units, known.scale, seen, len(z), bad, tuple(compared))
 
-        def mean_information(column: str) -> np.ndarray:
-            of_points = [
-                information_of(known, predictor, prediction, w, column, sensors[column], at_times, shift) for w in good
-            ]
-            return np.mean(of_points, axis=0)
 
-        parts = {column: mean_information(column) for column in sensors}
-        slopes = prediction.derivatives @ known.root
-        noise = np.array([sensors[column].noise for column in sensors])
-        size = np.sqrt(np.sum((slopes / noise[None, :, None, None]) ** 2, axis=(1, 2)))
-        seen = visibility_of(known, parts, bool(shift), symmetric_unknowns(known.names, size))
-    return Identifiability(known.names, known.units, known.scale, seen, len(z), len(z) - len(good))
+def _read_experiments(problem, experiments, prior: Prior, sensors: Sensors) -> dict[str, dict[str, float]]:
+    """Raises: InputError for what does not deviate, and for unknowns."""
+    if isinstance(problem, Simulation):
+        problem = Problem(problem, [signal(one) for one in sensors])
+    found = {}
+    for title, values in (experiments or {}).items():
+        with located(f"Experiment `{title}`"):
+            found[title] = read_fixed(problem, values, prior.names)
+    return found
+
+
+def _seen_before(
+    prior: Prior, predictor: Predictor, prediction: Prediction, good: list[int], sensors: Sensors,
+    times: Float[np.ndarray, " n"], shift: float,
+) -> Visibility:  # fmt: skip
+    """What signals tell on average over the good points of the prior."""
+
+    def mean_information(column: str) -> np.ndarray:
+        of_points = [
+            information_of(prior, predictor, prediction, w, column, sensors[column], times, shift) for w in good
+        ]
+        return np.mean(of_points, axis=0)
+
+    assert prediction.derivatives is not None, "asked for"
+    slopes = prediction.derivatives @ prior.root
+    noise = np.array([sensors[column].noise for column in sensors])
+    size = np.sqrt(np.sum((slopes / noise[None, :, None, None]) ** 2, axis=(1, 2)))
+    parts = {column: mean_information(column) for column in sensors}
+    return visibility_of(prior, parts, bool(shift), symmetric_unknowns(prior.names, size))
 
 
 def _as_list(one: Any) -> list[Any]:

@@ -25,8 +25,9 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.description.tasks.identification import Sensor
-from rfem_jax.tolerancing.identification.predictions import Prediction, Predictor, spline
+from rfem_jax.tolerancing.identification.predictions import Prediction, Predictor
 from rfem_jax.tolerancing.identification.prior import Prior
+from rfem_jax.tolerancing.identification.sensor_filters import sensed
 
 INVISIBLE, WEAK = 1e-2, 1.0  # singular values
 ALIKE = 0.99  # cosine of the effects of two errors
@@ -151,13 +152,23 @@ def information_of(
     times: Float[np.ndarray, " n"], shift: float,
 ) -> Float[np.ndarray, "m m"]:  # fmt: skip
     """Information (k+1, k+1) of a signal, and of the shift of its clock, sampled at `times` [s], of run w."""
+    slopes, values = sampled_slopes(prior, predictor, prediction, w, column, sensor, times, shift)
+    assert sensor.noise is not None, "asked for, and estimated where not given"
+    return signal_information(slopes, values, sensor.noise, sensor.offset, sensor.gain)
+
+
+def sampled_slopes(
+    prior: Prior, predictor: Predictor, prediction: Prediction, w: int, column: str, sensor: Sensor,
+    times: Float[np.ndarray, " n"], shift: float,
+) -> tuple[Float[np.ndarray, "n m"], Float[np.ndarray, " n"]]:  # fmt: skip
+    """Derivatives (n, k+1) of a signal at `times` [s] by z and by the shift of its clock, and its values (n,), of run
+    w."""
     row = predictor.columns.index(column)
-    assert prediction.derivatives is not None and sensor.noise is not None, "asked for, and estimated where not given"
+    assert prediction.derivatives is not None, "asked for"
     values = np.concatenate([prediction.values[w, row][:, None], prediction.derivatives[w, row] @ prior.root], axis=1)
-    through = spline(predictor.times, values)
+    through = sensed(predictor.times, values, sensor)
     found = through(times)
-    slopes = np.concatenate([found[:, 1:], -shift * through(times, 1)[:, :1]], axis=1)
-    return signal_information(slopes, found[:, 0], sensor.noise, sensor.offset, sensor.gain)
+    return np.concatenate([found[:, 1:], -shift * through(times, 1)[:, :1]], axis=1), found[:, 0]
 
 
 def visibility_of(prior: Prior, parts: dict[str, np.ndarray], shifts: bool, symmetric: Sequence[str]) -> Visibility:

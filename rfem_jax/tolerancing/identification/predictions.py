@@ -75,7 +75,7 @@ class Predictor:
         self.columns, self.names, self.base = tuple(columns), tuple(names), base
         self.rows = [known.index(one) for one in columns]
         self._clock = known.index(TIME) if times is None else 0
-        self._times = None if times is None else np.asarray(times, dtype=float)
+        self.given_times = self._times = None if times is None else np.asarray(times, dtype=float)
         self._width = 1  # points with derivatives at once on a device: that of the searches, whose program serves all
 
     @property

@@ -3,14 +3,14 @@ distribution, of which the errors of each machine are a sample (empirical Bayes)
 
 Place in the pipeline: identifications of machines -> **production** -> Production, and back to [tolerances].
 
-    machine i:   log density of its data = eta_i x - x Lambda_i x / 2,   x ~ N(mu, T),  T = diag(sigma^2)      (17.17)
-    l(sigma) = sum_i (eta_i M_i eta_i - log det(1 + T Lambda_i)) / 2 + (g A^-1 g - log det A) / 2              (17.19)
+    machine i:   log density of its data = eta_i x - x Lambda_i x / 2,   x ~ N(mu, T),  T = diag(sigma^2)      (17.22)
+    l(sigma) = sum_i (eta_i M_i eta_i - log det(1 + T Lambda_i)) / 2 + (g A^-1 g - log det A) / 2              (17.24)
 
 with M_i = (Lambda_i + T^-1)^-1, A = sum Lambda_i - Lambda_i M_i Lambda_i, g = sum (1 - Lambda_i M_i) eta_i, and
 mu = A^-1 g.
 
 Symbols: n machines, k errors, in standard deviations of what was known before, from its mean.
-Source: theory (17.17) to (17.21); B. P. Carlin, T. A. Louis, Bayesian Methods for Data Analysis, 3rd ed. (2009), 5;
+Source: theory (17.22) to (17.26); B. P. Carlin, T. A. Louis, Bayesian Methods for Data Analysis, 3rd ed. (2009), 5;
 D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320-338 (restricted likelihood).
 """
 

@@ -23,8 +23,9 @@ from jaxtyping import Float, Int
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.tasks.identification import Sensor, Sensors
 from rfem_jax.tolerancing.identification.measurements import History, require_within
-from rfem_jax.tolerancing.identification.predictions import Prediction, Predictor, spline
+from rfem_jax.tolerancing.identification.predictions import Prediction, Predictor
 from rfem_jax.tolerancing.identification.prior import Prior
+from rfem_jax.tolerancing.identification.sensor_filters import sensed
 
 HUBER, CAUCHY = 1.345, 2.385  # 95 % of the efficiency of least squares where the noise is normal
 FARTHEST = 4.0  # standard deviations of a shift
@@ -158,7 +159,7 @@ class Residuals:
         columns = prediction.values[w, row][:, None]
         if prediction.derivatives is not None:
             columns = np.concatenate([columns, prediction.derivatives[w, row] @ self.prior.root], axis=1)
-        through = spline(predictor.times, columns)
+        through = sensed(predictor.times, columns, one.sensor)
         shifted = times - faults["shift"]
         found = through(shifted)
         scale = 1.0 + faults["gain"]

@@ -15,8 +15,38 @@ function identificationPage(task) {
     (result.samples || []).length && errors.length > 1 ? posteriorSection(result.samples, errors) : null,
     result.correction ? correctionSection(result.correction) : null,
     (result.signals || []).length ? section("How the signals are fitted", fitTable(result.signals)) : null,
+    (result.suspects || []).length ? section("What may be behind the misfit", suspectTable(result.suspects)) : null,
     result.visibility ? visibilitySection(result.visibility, errors) : null,
+    (result.experiments || []).length ? experimentSection(result.experiments, errors) : null,
   ];
+}
+
+function suspectTable(suspects) {
+  const inUnit = (value, row) => (row.unit === "rad" || row.unit === "m" ? showError(value, row.unit) : `${showNumber(value, 3)} ${row.unit}`);
+  const columns = [
+    { label: "no unknown", value: (row) => row.name }, { label: "would be", value: (row) => row.value, show: inUnit }, { label: "deviation", value: (row) => row.deviation, show: inUnit },
+    { label: "\u03c7\u00b2 falls by", value: (row) => row.fall, show: (value) => showNumber(value, 3) }, { label: "of the misfit", unit: "%", value: (row) => 100 * row.share, show: (value) => showNumber(value, 3) },
+    { label: "verdict", value: (row) => (row.named ? (row.fits ? "explains it" : "explains most") : "does not explain it") },
+  ];
+  return sortableTable("Errors, parameters and faults of sensors that are no unknowns", columns, suspects, { id: "suspects" });
+}
+
+function experimentSection(experiments, errors) {
+  const last = (values) => values[values.length - 1];
+  const columns = [
+    { label: "experiment", value: (row) => row.name }, { label: "measured", unit: "s", value: (row) => last(row.lengths), show: (value) => showNumber(value, 3) },
+    { label: "information", unit: "nat", value: (row) => last(row.gain), show: (value) => showNumber(value, 3) }, { label: "variance left", unit: "%", value: (row) => 100 * last(row.rest), show: (value) => showNumber(value, 3) },
+    ...errors.map((one, i) => ({ label: one.error, value: (row) => last(row.deviations)[i], show: (value) => showNumber(value, 3) })),
+  ];
+  const lines = [["line", []], ["dashes", [7, 4]], ["dots", [2, 3]], ["dashes and dots", [9, 3, 2, 3]]];
+  const words = errors.map((error, i) => `${error.error} (${lines[i % lines.length][0]})`).join(", ");
+  const left = (one, i) => one.deviations.map((row) => Math.log10(numberOr(row[i], NaN)));
+  const lowest = Math.min(0, ...experiments.flatMap((one) => errors.flatMap((error, i) => left(one, i).filter(Number.isFinite))));
+  const chart = (one) => make("figure", {}, lineChart(errors.map((error, i) => ({ x: one.lengths.map((value) => numberOr(value, NaN)), y: left(one, i), dash: lines[i % lines.length][1] })),
+    "measured time, s", "log10 of deviation left", `Deviations left after experiment ${one.name}`, { width: 560, height: 300, yRange: [lowest - 0.1, 0.05] }), make("figcaption", {}, `${one.name}: ${words}`));
+  const told = experiments.filter((one) => typeof last(one.gain) === "number");
+  return section("Which experiment, and how long", make("p", { class: "hint" }, "Deviations are expected after the measurement, in those known before."),
+    sortableTable("Experiments at their whole length", columns, experiments, { id: "experiments" }), make("div", { id: "experiment-lengths", class: "charts" }, told.map(chart)));
 }
 
 function foundTable(errors, result) {
