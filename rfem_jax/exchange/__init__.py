@@ -5,7 +5,7 @@ layout            a mechanism of rigid bodies as other programs know it: where e
 laying            link frames, joint frames and a tree where a file has none of ours
 files             a file of another program as a layout, whatever its format; what all readers share
 frame_table, urdf, sdf, mjcf       readers
-study_text        a layout as a commented study file
+study_writer      a layout as a commented study file
 study_layout      a study, with the errors of one of its cases, as a layout
 frame_table, urdf_text, mjcf_text  writers
 

@@ -1,6 +1,6 @@
 """A file of another program as a layout, whatever its format.
 
-Place in the pipeline: frame_table and the readers of XML -> **files** -> study_text; `rfem-jax import` calls it.
+Place in the pipeline: frame_table and the readers of XML -> **files** -> study_writer; `rfem-jax import` calls it.
 """
 
 from pathlib import Path
@@ -9,8 +9,12 @@ from rfem_jax.description.basics.errors import InputError, located
 from rfem_jax.exchange.frame_table import read_table
 from rfem_jax.exchange.laying import finished
 from rfem_jax.exchange.layout import Layout
+from rfem_jax.exchange.mjcf_reader import read_mjcf
+from rfem_jax.exchange.urdf import read_urdf
+from rfem_jax.exchange.xml_trees import read_tree
 
 LARGEST = 50_000_000  # bytes
+FORMATS = {"robot": "URDF", "mujoco": "MJCF"}  # by the first tag
 
 
 def read_layout(path: Path) -> tuple[Layout, str]:
@@ -20,9 +24,14 @@ def read_layout(path: Path) -> tuple[Layout, str]:
     """
     text = _text(path)
     with located(f"File `{path}`"):
-        if text.lstrip().startswith("<"):
-            raise InputError("It must be a table (CSV), but is something else; see `rfem-jax import --help`.")
-        return finished(read_table(text, path.stem)), "a table of frames"
+        if not text.lstrip().startswith("<"):
+            return finished(read_table(text, path.stem)), "a table of frames"
+        root = read_tree(text)
+        if root.tag not in FORMATS:
+            known = ", ".join(f"<{tag}> ({name})" for tag, name in FORMATS.items())
+            raise InputError(f"The first element of the file must be one of {known}, but is <{root.tag[:60]}>.")
+        layout = read_urdf(root, path.stem) if root.tag == "robot" else read_mjcf(path)
+        return finished(layout), FORMATS[root.tag]
 
 
 def _text(path: Path) -> str:

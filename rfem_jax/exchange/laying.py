@@ -1,6 +1,6 @@
 """Names, a tree with cut joints, and frames of links and joints, where a file has none of ours.
 
-Place in the pipeline: a reader's layout -> **laying** -> study_text.
+Place in the pipeline: a reader's layout -> **laying** -> study_writer.
 
 A link's frame begins at the joint that carries it, and x points to its farthest other joint, so that links of planar
 mechanisms get no orientations and can become flexible by a section in the place of their body. A joint's x is as near

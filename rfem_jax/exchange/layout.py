@@ -1,6 +1,6 @@
 """A mechanism as other programs know it: rigid bodies somewhere in space, and joints between frames on them.
 
-Place in the pipeline: readers and `study_layout` make a `Layout`; `laying` completes it, `study_text` and the writers
+Place in the pipeline: readers and `study_layout` make a `Layout`; `laying` completes it, `study_writer` and the writers
 write it.
 
 Frames of joints follow the conventions of rfem_jax: y is the axis of a hinge, x that of a slide (theory (2.14) to

@@ -12,7 +12,7 @@ from rfem_jax import InputError, describe, discretise, load_study
 from rfem_jax.exchange.frame_table import COLUMNS, read_table, table_text
 from rfem_jax.exchange.laying import finished
 from rfem_jax.exchange.study_layout import layout_of
-from rfem_jax.exchange.study_text import study_text
+from rfem_jax.exchange.study_writer import study_text
 from rfem_jax.report.command_line import main
 
 from .machines import MACHINES, MOBILITY, same_places, study
@@ -89,7 +89,11 @@ def test_an_open_loop_is_told():
     assert "the loops stay open by 0.00" in tilted.remarks[0]
 
 
-BY_HAND = """name;kind;parent;child;x_mm;y_mm;z_mm;axis_x;axis_y;axis_z;mass_g;centre_x_mm;centre_y_mm;centre_z_mm;xx_gmm2;yy_gmm2;zz_gmm2
+COLUMNS_BY_HAND = (
+    "name;kind;parent;child;x_mm;y_mm;z_mm;axis_x;axis_y;axis_z;mass_g;centre_x_mm;centre_y_mm;centre_z_mm;"
+    "xx_gmm2;yy_gmm2;zz_gmm2"
+)
+BY_HAND = f"""{COLUMNS_BY_HAND}
 arm;body;;;;;;;;;500;50;0;0;0;1e6;1e6
 A;hinge;base;arm;0;0;0;0;2;0;;;;;;;
 """

@@ -16,7 +16,8 @@ def command() -> Command:
     return Command(
         name="import",
         purpose="make a study of a file of another program",
-        description="Write a study with comments from a table of joint frames (CSV). "
+        description="Write a study with comments from a file in MJCF (read by the package mujoco), in URDF, "
+        "or from a table of frames (CSV). "
         "What cannot be taken over is listed, here and in the study. A file that exists is not overwritten.",
         add_arguments=_add_arguments,
         act=act,
@@ -36,7 +37,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     from rfem_jax.description.basics.errors import InputError
     from rfem_jax.description.study_file.study import load_study
     from rfem_jax.exchange.files import read_layout
-    from rfem_jax.exchange.study_text import study_text
+    from rfem_jax.exchange.study_writer import study_text
 
     path = Path(arguments.target)
     layout, kind = read_layout(Path(arguments.file))

@@ -1,6 +1,6 @@
 """A layout as a study file with comments.
 
-Place in the pipeline: a reader's layout, completed by `laying` -> **study_text** -> the user's study file.
+Place in the pipeline: a reader's layout, completed by `laying` -> **study_writer** -> the user's study file.
 """
 
 import json
