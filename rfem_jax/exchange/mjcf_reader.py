@@ -67,12 +67,8 @@ def read_mjcf(path: Path) -> Layout:
             "The package mujoco must be there to read MJCF, but cannot be imported; install it with "
             '`pip install "rfem_jax[mujoco]"`.'
         ) from None
-    try:
-        model = mujoco.MjModel.from_xml_path(str(path))
-    except Exception as problem:  # of its parser and its compiler, which raise several kinds
-        reason = " ".join(str(problem).split())[:200]
-        raise InputError(f"MuJoCo must be able to compile the file, but says: {reason}; correct it.") from None
-    source = _Source(mujoco, model, _poses(model), _static(model))
+    model, warnings = _compiled(mujoco, path)
+    source = _Source(mujoco, model, _poses(model), _static(model), warnings)
     if any(source.name("BODY", i) == BASE for i in range(1, model.nbody) if i not in source.base):
         raise InputError("No body of the file may be called `base`, which names what stands still; rename it.")
     bodies = tuple(_body(source, i) for i in range(1, model.nbody) if i not in source.base)
@@ -84,6 +80,20 @@ def read_mjcf(path: Path) -> Layout:
         gravity = np.zeros(3)
     found = Layout(path.stem, bodies, tuple(joints), gravity, _pulls(source), _ratios(source), framed=framed)
     return found.remarked(*source.remarks, *_left_out(source))
+
+
+def _compiled(mujoco: Any, path: Path) -> tuple[Any, list[str]]:
+    """The model of a file, and what MuJoCo warns of, which it would write into a file of its own. Raises InputError."""
+    warnings: list[str] = []
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda text: warnings.append(f"MuJoCo warns: {' '.join(str(text).split())[:200]}"))
+    try:
+        return mujoco.MjModel.from_xml_path(str(path)), warnings
+    except Exception as problem:  # of its parser and its compiler, which raise several kinds
+        reason = " ".join(str(problem).split())[:200]
+        raise InputError(f"MuJoCo must be able to compile the file, but says: {reason}; correct it.") from None
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 def _poses(model: Any) -> list[Frame]:
