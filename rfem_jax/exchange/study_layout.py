@@ -1,6 +1,6 @@
 """A study as a layout: rigid links at their start, with the errors of one of its cases.
 
-Place in the pipeline: `load_study` -> **study_layout** -> frame_table, urdf_text, mjcf_text.
+Place in the pipeline: `load_study` -> **study_layout** -> frame_table, urdf_writer, mjcf_writer.
 
 Flexible links count as rigid ones of the same mass; masses, inertias and frames with errors are those of the equations
 of motion (`apply_errors`). With errors the loops are closed again, so that the start is a position of the mechanism.
