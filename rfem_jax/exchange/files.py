@@ -10,11 +10,12 @@ from rfem_jax.exchange.frame_table import read_table
 from rfem_jax.exchange.laying import finished
 from rfem_jax.exchange.layout import Layout
 from rfem_jax.exchange.mjcf_reader import read_mjcf
+from rfem_jax.exchange.sdf import read_sdf
 from rfem_jax.exchange.urdf import read_urdf
 from rfem_jax.exchange.xml_trees import read_tree
 
 LARGEST = 50_000_000  # bytes
-FORMATS = {"robot": "URDF", "mujoco": "MJCF"}  # by the first tag
+FORMATS = {"robot": "URDF", "mujoco": "MJCF", "sdf": "SDF"}  # by the first tag
 
 
 def read_layout(path: Path) -> tuple[Layout, str]:
@@ -30,8 +31,10 @@ def read_layout(path: Path) -> tuple[Layout, str]:
         if root.tag not in FORMATS:
             known = ", ".join(f"<{tag}> ({name})" for tag, name in FORMATS.items())
             raise InputError(f"The first element of the file must be one of {known}, but is <{root.tag[:60]}>.")
-        layout = read_urdf(root, path.stem) if root.tag == "robot" else read_mjcf(path)
-        return finished(layout), FORMATS[root.tag]
+        if root.tag == "mujoco":
+            return finished(read_mjcf(path)), FORMATS[root.tag]
+        read = {"robot": read_urdf, "sdf": read_sdf}[root.tag]
+        return finished(read(root, path.stem)), FORMATS[root.tag]
 
 
 def _text(path: Path) -> str:

@@ -1,6 +1,8 @@
 """Files that are damaged: each becomes a study that can be read, or is refused in one sentence."""
 
 import random
+from copy import deepcopy
+from xml.etree import ElementTree as Xml
 
 import pytest
 
@@ -14,6 +16,8 @@ from rfem_jax.exchange.urdf_writer import urdf_text
 
 from .machines import study
 from .test_mjcf import needs_mujoco
+from .test_sdf import FOREIGN as DOOR
+from .test_sdf import sdf_of
 from .test_urdf import FOREIGN, arm
 
 VALUES = (
@@ -57,12 +61,37 @@ def mutated(text, seed):
     return text
 
 
+def with_mutated_tree(text, seed):
+    """XML that stays well-formed: one to three elements lost, doubled or moved, or with another value."""
+    chance, root = random.Random(seed), Xml.fromstring(text)
+    for _ in range(chance.randint(1, 3)):
+        pairs = [(parent, child) for parent in root.iter() for child in parent]
+        if not pairs:
+            break
+        parent, child = chance.choice(pairs)
+        kind = chance.randrange(5)
+        if kind == 0:
+            parent.remove(child)
+        elif kind == 1:
+            parent.append(deepcopy(child))
+        elif kind == 2:
+            chance.choice(pairs)[0].append(deepcopy(child))
+        elif (child.attrib and kind == 3) or not (child.text or "").strip():
+            if child.attrib:
+                child.set(chance.choice(sorted(child.attrib)), chance.choice(VALUES).replace("\x00", "?"))
+        else:
+            child.text = chance.choice(VALUES).replace("\x00", "?")
+    return Xml.tostring(root, encoding="unicode")
+
+
 @pytest.fixture(scope="module")
 def texts():
     return {
         "csv": table_text(layout_of(study("slider_crank")), "a test")[0],
         "urdf": urdf_text(layout_of(arm()), "a test")[0],
         "foreign": FOREIGN,
+        "sdf": DOOR,
+        "loop": sdf_of(layout_of(study("four_bar"))),
         "mjcf": mjcf_text(layout_of(study("four_bar")), "a test")[0],
     }
 
@@ -81,7 +110,8 @@ def outcome(text, folder):
 
 
 def check(name, texts, folder, seeds):
-    found = [outcome(mutated(texts[name], seed), folder) for seed in seeds]
+    ways = (mutated,) if name == "csv" else (mutated, with_mutated_tree)
+    found = [outcome(way(texts[name], seed), folder) for seed in seeds for way in ways]
     refused = [one for one in found if one is not None]
     assert 0 < len(refused) < len(found)
     for problems in refused:
@@ -89,9 +119,9 @@ def check(name, texts, folder, seeds):
     return refused
 
 
-@pytest.mark.parametrize("name", ["csv", "urdf", "foreign"])
+@pytest.mark.parametrize("name", ["csv", "urdf", "foreign", "sdf", "loop"])
 def test_a_study_or_one_sentence(name, texts, tmp_path):
-    check(name, texts, tmp_path, range(70))
+    check(name, texts, tmp_path, range(40))
 
 
 @needs_mujoco
