@@ -144,18 +144,3 @@ def coordinates_of(kind: str, apart: Frame) -> tuple[float, ...]:
         "free": (*map(float, p), *map(float, angles_of(r))),
     }
     return found[kind]
-
-
-def placed(joints: tuple[Connection, ...], names: list[str]) -> dict[str, Frame]:
-    """Poses of bodies by the joints of the tree at their start, by name; all of `names` must be reached."""
-    poses: dict[str, Frame] = {BASE: at_origin()}
-    tree = {joint.child: joint for joint in joints if not joint.cut}
-
-    def pose(name: str) -> Frame:
-        if name not in poses:
-            joint = tree[name]
-            hinge = pose(joint.parent).then(joint.seat).then(motion_frame(joint.kind, joint.start))
-            poses[name] = hinge.then(joint.bore.inverse())
-        return poses[name]
-
-    return {name: pose(name) for name in names}

@@ -22,6 +22,7 @@ from rfem_jax import (
 )
 from rfem_jax.description import Study
 from rfem_jax.exchange.files import read_layout
+from rfem_jax.exchange.layout import motion_frame
 from rfem_jax.exchange.mjcf_writer import mjcf_text
 from rfem_jax.exchange.study_layout import layout_of
 from rfem_jax.exchange.study_writer import study_text
@@ -219,6 +220,23 @@ def test_a_file_of_others(tmp_path):
     toml.write_text(study_text(layout, "crane.xml", toml.name), encoding="utf-8")
     found = describe(discretise(replace(load_study(toml).mechanism, driven_joint=None)))
     assert found.coordinates == 1 + 2 + 3 + 6 + 3 and found.constraints == 6 + 3
+
+
+CARDAN = """<mujoco><worldbody><body name="a"><joint name="first" axis="0 1 0" ref="20"/>
+<joint name="second" axis="0 0 1" ref="35"/><geom size=".1" pos=".2 0 0" mass="1"/></body></worldbody></mujoco>"""
+
+
+@needs_mujoco
+def test_a_universal_joint_that_is_turned_at_its_start(tmp_path):
+    """Both axes are where MuJoCo has them, and the coordinates count as its own."""
+    path = tmp_path / "cardan.xml"
+    path.write_text(CARDAN, encoding="utf-8")
+    (joint,) = (layout := read_layout(path)[0]).joints
+    left, right = layout.sides(joint)
+    assert joint.kind == "universal" and joint.start == pytest.approx(np.radians([20.0, 35.0]))
+    np.testing.assert_allclose(left.rotation[:, 1], [0.0, 1.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(right.rotation[:, 2], [0.0, 0.0, 1.0], atol=1e-12)
+    np.testing.assert_allclose(left.then(motion_frame("universal", joint.start)).rotation, right.rotation, atol=1e-12)
 
 
 @needs_mujoco
