@@ -93,6 +93,8 @@ COMMANDS = (
     "keys",
     "parameters",
     "report",
+    "import",
+    "export",
     "validate",
 )
 

@@ -1,4 +1,4 @@
-"""The packages import one way only: report -> validation, tolerancing -> simulation ->
+"""The packages import one way only: report -> exchange -> validation, tolerancing -> simulation ->
 mechanics -> compilation -> description; kernels import none of them.  None of them changes what is the user's, the
 environment and JAX's settings, or uses what is JAX's own."""
 
@@ -13,7 +13,17 @@ import rfem_jax
 from tests.processes import in_a_new_process
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("kernels", "description", "compilation", "mechanics", "simulation", "validation", "tolerancing", "report")
+PACKAGES = (
+    "kernels",
+    "description",
+    "compilation",
+    "mechanics",
+    "simulation",
+    "validation",
+    "tolerancing",
+    "exchange",
+    "report",
+)
 FILES = sorted(path for path in (ROOT / "rfem_jax").rglob("*.py") if path.parent != ROOT / "rfem_jax")
 
 BESIDE = (

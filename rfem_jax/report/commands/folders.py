@@ -1,4 +1,4 @@
-"""Folders for results: refused before anything is computed where they cannot be written.
+"""Folders for results: refused before anything is computed where they cannot be written; new files.
 
 Place in the pipeline: used by the subcommands that write.
 """
@@ -57,4 +57,41 @@ def cannot_write(folder: str | Path, problem: OSError) -> ValueError:
     return InputError(
         f"Argument `--out` must be a folder that can be written, but {folder} is not "
         f"({problem.strerror or problem}); choose another one or free some space."
+    )
+
+
+def write_new(path: Path, text: str, argument: str) -> None:
+    """Write a file that does not exist yet; `argument` named it. Raises InputError."""
+    from rfem_jax.description.basics.errors import InputError
+
+    try:
+        with open(path, "x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        raise InputError(
+            f"Argument `{argument}` must name a new file, but `{path}` exists; choose another name, or remove the file."
+        ) from None
+    except (OSError, ValueError) as problem:
+        raise _unwritable(path, argument, problem) from problem
+
+
+def write_study(path: Path, text: str, argument: str) -> Path:
+    """Write a new study file, and beside it the schema, whose path is returned. Raises InputError."""
+    from rfem_jax.description.study_file.schema import FILE, schema_text
+
+    write_new(path, text, argument)
+    schema = path.with_name(FILE)
+    try:
+        schema.write_text(schema_text(), encoding="utf-8")
+    except OSError as problem:
+        raise _unwritable(path, argument, problem) from problem
+    return schema
+
+
+def _unwritable(path: Path, argument: str, problem: Exception) -> ValueError:
+    from rfem_jax.description.basics.errors import InputError
+
+    reason = getattr(problem, "strerror", None) or problem
+    return InputError(
+        f"Argument `{argument}` must name a file that can be written, but `{path}` cannot ({reason}); choose another."
     )

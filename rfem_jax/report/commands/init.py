@@ -8,6 +8,7 @@ from importlib import resources
 from pathlib import Path
 
 from rfem_jax.report.commands.command import Answer, Command
+from rfem_jax.report.commands.folders import write_study
 from rfem_jax.report.progress_line import show
 
 KINDS = ("four-bar", "slider-crank", "six-bar", "cam", "geared-five-bar", "planetary")
@@ -34,27 +35,11 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def act(arguments: argparse.Namespace) -> Answer:
     """Write the file and say what to do with it. Raises InputError."""
-    from rfem_jax.description.basics.errors import InputError
-    from rfem_jax.description.study_file.schema import FILE, schema_text
-
     name = arguments.name
     path = Path(name if name.endswith(".toml") else f"{name}.toml")
     kept = resources.files("rfem_jax.report") / "starting_studies" / f"{arguments.kind.replace('-', '_')}.toml"
     text = kept.read_text(encoding="utf-8").replace("@FILE@", path.name).replace("@NAME@", path.stem)
-    try:
-        with open(path, "x", encoding="utf-8") as file:
-            file.write(text)
-        schema = path.with_name(FILE)
-        schema.write_text(schema_text(), encoding="utf-8")
-    except FileExistsError:
-        raise InputError(
-            f"Argument `NAME` must name a new file, but `{path}` exists; choose another name, or remove the file."
-        ) from None
-    except (OSError, ValueError) as problem:
-        reason = getattr(problem, "strerror", None) or problem
-        raise InputError(
-            f"Argument `NAME` must name a file that can be written, but `{path}` cannot ({reason}); choose another."
-        ) from problem
+    schema = write_study(path, text, "NAME")
     show(f"{path} written: a {arguments.kind}. Go on with\n")
     show(f"  rfem-jax check {path}\n  rfem-jax run {path} --out results/{path.stem}")
     show(f"\n{schema} beside it lets editors of TOML complete and check studies.")
