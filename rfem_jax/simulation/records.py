@@ -30,7 +30,7 @@ from rfem_jax.mechanics.algebra.vectors import dot
 from rfem_jax.mechanics.dynamics.base_loads import shaking_load
 from rfem_jax.mechanics.dynamics.loads import velocities
 from rfem_jax.mechanics.dynamics.point_paths import PointMotion
-from rfem_jax.mechanics.dynamics.section_loads import loads_of_sections, stress_squares
+from rfem_jax.mechanics.dynamics.section_loads import loads_of_sections, section_edges, stress_squares
 from rfem_jax.mechanics.kinematics.motion import Motion
 from rfem_jax.mechanics.model.model import BASE, Model, State, Topology, rfe_fractions
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
@@ -69,7 +69,7 @@ class SectionHistory(eqx.Module):
 
     place: Float[Array, "*times sections"]
     resultants: Float[Array, "*times 6 sections"]
-    edge: Float[Array, "4 points"] | None
+    edge: Float[Array, "4 points"] | Float[Array, "4 points sections"] | None
 
     @property
     def stress_squares(self) -> Float[Array, "*times points sections"]:
@@ -154,8 +154,7 @@ def finished_records(
     for name in names:
         owner, _, kind = name.rpartition(".")
         if kind == "sections":
-            edges = model.section.edges
-            edge = edges[model.topology.links.index(owner)] if edges else None
+            edge = section_edges(model, model.topology.links.index(owner), saved[name].place[0])
             records[name] = SectionHistory(saved[name].place[0], saved[name].resultants, edge)
         elif kind == "friction_loss":
             joint = model.topology.joints.index(owner)
