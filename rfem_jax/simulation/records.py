@@ -154,7 +154,7 @@ def finished_records(
     for name in names:
         owner, _, kind = name.rpartition(".")
         if kind == "sections":
-            edge = section_edges(model, model.topology.links.index(owner), saved[name].place[0])
+            edge = section_edges(model, actual, model.topology.links.index(owner), saved[name].place[0])
             records[name] = SectionHistory(saved[name].place[0], saved[name].resultants, edge)
         elif kind == "friction_loss":
             joint = model.topology.joints.index(owner)

@@ -341,7 +341,7 @@ def largest_stresses(model: Model, actual: ModelWithErrors, state: State, still:
     for l, (name, edge) in enumerate(zip(topology.links, edges, strict=True)):
         if edge is not None:
             of_sections = loads_of_sections(model, actual, state, still, l)
-            edge = section_edges(model, l, of_sections.place)
+            edge = section_edges(model, actual, l, of_sections.place)
             stress[name] = safe_sqrt(jnp.max(stress_squares(edge, of_sections.resultants)))
     return stress
 

@@ -244,12 +244,14 @@ def _at_stations(model: Model, actual: ModelWithErrors, link: int) -> list[tuple
     return sections
 
 
-def section_edges(model: Model, link: int, place: Float[Array, " sections"]) -> Any:
+def section_edges(model: Model, actual: ModelWithErrors, link: int, place: Float[Array, " sections"]) -> Any:
     """Stresses at the edges of the sections of a link at places [m], as `Sections.edges`; of a link with stations for
     each of the sections, (4, points, sections)."""
     edges = model.section.edges[link] if model.section.edges else None
     profile = None if model.profiles is None else model.profiles[link]
-    return edges if edges is None or profile is None else profile.edges(place)
+    if edges is None or profile is None:
+        return edges
+    return profile.edges(place * (model.length[link] / _length(actual, link)))  # its stations move with its length
 
 
 def _attachment_loads(
