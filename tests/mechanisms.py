@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rfem_jax import (
+    Circle,
     Compliance,
     Coupling,
     DistributedForce,
@@ -25,6 +26,7 @@ from rfem_jax import (
     Rectangle,
     RigidBody,
     Simulation,
+    Station,
     simulate,
 )
 from rfem_jax.mechanics.dynamics.loads import static_state
@@ -67,6 +69,22 @@ def four_bar(rfes=3, crank=None, cut="C", **more):
         Joint("C", "coupler", "rocker", cut=True),
     ]
     return Mechanism(links, joints, driven_joint="A", **more)
+
+
+def with_stations(mechanism, **stations):
+    """The mechanism with stations of the links of given names."""
+    links = [dataclasses.replace(one, stations=stations.get(one.name, ())) for one in mechanism.links]
+    return dataclasses.replace(mechanism, links=tuple(links))
+
+
+def tapered_four_bar(**more):
+    """The four-bar with a rigid tapered crank, a coupler that gets thinner, and a rocker with a step."""
+    thin = Rectangle(0.006, 0.008)
+    stepped = Station(0.11, after=Circle(0.009)), Station(section=Circle(0.006))
+    return with_stations(
+        four_bar(**more), crank=[Station(section=thin)], coupler=[Station(0.2, thin), Station(section=BAR)],
+        rocker=stepped,
+    )  # fmt: skip
 
 
 def three_link_loop():

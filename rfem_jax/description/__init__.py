@@ -67,6 +67,7 @@ from rfem_jax.description.mechanism.sections import (
     SectionProperties,
     Tube,
 )
+from rfem_jax.description.mechanism.stations import Station
 from rfem_jax.description.methods import (
     Automatic,
     Explicit,
@@ -138,6 +139,7 @@ __all__ = [
     "Section",
     "SectionProperties",
     "Sensor",
+    "Station",
     "Study",
     "Tube",
     "load_study",

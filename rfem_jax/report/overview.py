@@ -78,6 +78,8 @@ def link_rows(mechanism: Mechanism) -> list[list[str]]:
         rfes = "rigid" if link.elements == 1 else str(link.elements)
         points = str(len(link.point_masses) or "-")
         shape = "rigid body" if link.section is None else section_text(link.section)
+        if link.stations:
+            shape = " to ".join(dict.fromkeys(section_text(section) for section in link.sections))
         rows.append([link.name, f"{link.length:.6g}", f"{link.mass:.6g}", rfes, points, shape])
     return rows
 

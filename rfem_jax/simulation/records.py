@@ -36,6 +36,7 @@ from rfem_jax.mechanics.dynamics.section_loads import (
     SectionLoads,
     loads_of_section,
     loads_of_sections,
+    section_edges,
     stress_squares,
 )
 from rfem_jax.mechanics.kinematics.motion import Motion
@@ -72,13 +73,13 @@ class PerfectPath(NamedTuple):
 class SectionHistory(eqx.Module):
     """Sections of a link at the saved times: place (sections,) [m] along the link; resultants (times, 6, sections):
     axial and shear forces N, Q_y, Q_z [N], torque T and bending moments M_y, M_z [N m], which the part with the larger
-    x exerts; edge: stresses at points of the section's edge per unit of N, M_y, M_z and T, None if not known; axial: EA
-    [N] of the link."""
+    x exerts; edge: stresses at points of the section's edge per unit of N, M_y, M_z and T, None if not known; modulus:
+    Young's modulus [Pa]."""
 
     place: Float[Array, "*times sections"]
     resultants: Float[Array, "*times 6 sections"]
-    edge: Float[Array, "4 points"] | None
-    axial: Float[Array, ""] | None = None
+    edge: Float[Array, "4 points"] | Float[Array, "4 points sections"] | None
+    modulus: Float[Array, ""] | None = None
 
     @property
     def stress_squares(self) -> Float[Array, "*times points sections"]:
@@ -94,16 +95,18 @@ class SectionHistory(eqx.Module):
         """Stress [Pa] along the link in the middle of a side of the section, "y", "-y", "z" or "-z" in the link's axes:
         what a strain gauge there feels (theory (17.15))."""
         edge, resultants = self._known_edge, jnp.asarray(self.resultants)
-        per_moment = {"y": jnp.min(edge[2]), "-y": jnp.max(edge[2]), "z": jnp.max(edge[1]), "-z": jnp.min(edge[1])}
-        return edge[0, 0] * resultants[..., 0, :] + per_moment[side] * resultants[..., 5 if "y" in side else 4, :]
+        edge = edge if edge.ndim == 3 else edge[:, :, None]
+        outermost = {"y": jnp.min, "-y": jnp.max, "z": jnp.max, "-z": jnp.min}[side]
+        by_moment, moment = (edge[2], 5) if "y" in side else (edge[1], 4)
+        return edge[0, 0] * resultants[..., 0, :] + outermost(by_moment, axis=0) * resultants[..., moment, :]
 
     def strain(self, side: str) -> Float[Array, "*times sections"]:
         """`direct_stress` over Young's modulus."""
-        assert self.axial is not None, "runs know it"
-        return self.direct_stress(side) / (self._known_edge[0, 0] * self.axial)
+        assert self.modulus is not None, "runs know it"
+        return self.direct_stress(side) / self.modulus
 
     @property
-    def _known_edge(self) -> Float[Array, "4 points"]:
+    def _known_edge(self) -> Float[Array, "4 points"] | Float[Array, "4 points sections"]:
         if self.edge is None:
             raise InputError(
                 "Argument `edge` of a section must be given for stresses, but is missing; write `edge_y`, `edge_z`, "
@@ -188,10 +191,11 @@ def finished_records(
     for name in names:
         owner, _, kind = name.rpartition(".")
         if kind == "sections":
-            edges = model.section.edges
             link = model.topology.links.index(divided(owner)[0])
-            edge, axial = edges[link] if edges else None, model.section.stiffness[0, link]
-            records[name] = SectionHistory(saved[name].place[0], saved[name].resultants, edge, axial)
+            edge = section_edges(model, actual, link, saved[name].place[0])
+            own = model.section.edges[link] if model.section.edges else None
+            modulus = None if own is None else model.section.stiffness[0, link] * own[0, 0]
+            records[name] = SectionHistory(saved[name].place[0], saved[name].resultants, edge, modulus)
         elif kind == "friction_loss":
             joint = model.topology.joints.index(owner)
             laws = sorted((model.friction or {}).items())

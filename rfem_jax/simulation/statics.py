@@ -33,7 +33,7 @@ from rfem_jax.labelled_data import DataFrame, Dataset
 from rfem_jax.mechanics.dynamics import dynamics, loads
 from rfem_jax.mechanics.dynamics.base_loads import ShakingLoad, shaking_load
 from rfem_jax.mechanics.dynamics.point_paths import PointMotion, point_motions
-from rfem_jax.mechanics.dynamics.section_loads import loads_of_sections, stress_squares
+from rfem_jax.mechanics.dynamics.section_loads import loads_of_sections, section_edges, stress_squares
 from rfem_jax.mechanics.elements.linear_validity import linear_error, linear_range
 from rfem_jax.mechanics.forces.bush_contacts import ContactState, contact_states
 from rfem_jax.mechanics.forces.element_loads import FrameLoads
@@ -344,6 +344,7 @@ def largest_stresses(model: Model, actual: ModelWithErrors, state: State, still:
     for l, (name, edge) in enumerate(zip(topology.links, edges, strict=True)):
         if edge is not None:
             of_sections = loads_of_sections(model, actual, state, still, l)
+            edge = section_edges(model, actual, l, of_sections.place)
             stress[name] = safe_sqrt(jnp.max(stress_squares(edge, of_sections.resultants)))
     return stress
 

@@ -37,6 +37,7 @@ from tests.mechanisms import (
     open_chain,
     random_state,
     some_errors,
+    tapered_four_bar,
     two_cuts_of_different_kinds,
 )
 
@@ -85,6 +86,8 @@ CASES = [
     *[(make, "moment", "linear") for make in ALL],
     (four_bar, "prescribed", "linear"),
     (four_bar, "moment", "geometrically_exact"),
+    (tapered_four_bar, "prescribed", "linear"),
+    (tapered_four_bar, "moment", "geometrically_exact"),
     (open_chain, "prescribed", "geometrically_exact"),
     (chain_of_kinds, "prescribed", "geometrically_exact"),
     (named(loop_cut_by, "cylindrical"), "moment", "geometrically_exact"),

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import DistributedForce, PointForce, PointMass, discretise
+from rfem_jax import Circle, DistributedForce, PointForce, PointMass, Rectangle, Station, discretise
 from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.dynamics.dynamics import accelerations
@@ -19,7 +19,7 @@ from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.simulation.observation import solved_instant
 from tests.mechanics.test_formulations import close
-from tests.mechanisms import random_state, some_errors, two_loop_six_bar
+from tests.mechanisms import random_state, some_errors, two_loop_six_bar, with_stations
 
 LINKS = {"rocker": 4, "arm": 3, "output": 1}  # with their rfes
 STEP = 1e-10  # m
@@ -41,10 +41,40 @@ def six_bar():
     return dataclasses.replace(mechanism, links=tuple(links), forces=(push, *lines))
 
 
-@pytest.fixture(scope="module")
-def moving():
+BAR_MASS, THIN = 7850.0, Rectangle(0.004, 0.007)
+STATIONS = {
+    "uniform": {},
+    "tapered": {
+        "rocker": [Station(0.12, THIN, after=Circle(0.009)), Station(0.21, after=THIN)],
+        "output": [Station(0.1, THIN), Station(section=Rectangle(0.01, 0.005))],
+    },
+}
+
+
+def along(shape, name, x):
+    """Line density [kg/m] and rotary inertias (3,) [kg m] of a link at a place of its description, bars of the tests
+    and sections of their stations by hand."""
+    width, height = 0.01, 0.01
+    if shape == "tapered" and name == "rocker":
+        if x < 0.12:
+            width, height = 0.01 - 0.006 * x / 0.12, 0.01 - 0.003 * x / 0.12
+        elif x < 0.21:
+            second = np.pi * 0.009**4 / 64.0
+            return BAR_MASS * np.pi * 0.009**2 / 4.0, BAR_MASS * second * np.array([2.0, 1.0, 1.0])
+        else:
+            width, height = 0.004, 0.007
+    if shape == "tapered" and name == "output":
+        share = x / 0.1 if x < 0.1 else (x - 0.1) / 0.15
+        width = 0.01 - 0.006 * share if x < 0.1 else 0.004 + 0.006 * share
+        height = 0.01 - 0.003 * share if x < 0.1 else 0.007 - 0.002 * share
+    y, z = width * height**3 / 12.0, height * width**3 / 12.0
+    return BAR_MASS * width * height, BAR_MASS * np.array([y + z, y, z])
+
+
+@pytest.fixture(scope="module", params=STATIONS)
+def moving(request):
     """The model, and of one random closed state: errors applied, the solved instant, and all section loads."""
-    model = discretise(six_bar(), elements="geometrically_exact")
+    model = discretise(with_stations(six_bar(), **STATIONS[request.param]), elements="geometrically_exact")
     rng = np.random.default_rng(3)
     errors, state = some_errors(model, rng), random_state(model, rng, 0.3)
     # Joints at the ends of links stay at these.
@@ -65,14 +95,14 @@ def moving():
         sections = {name: loads_of_sections(model, actual, state, now, l) for name, l in names.items()}
         return actual, now, inertial, frames, sections
 
-    return model, kernel(solved)(errors, state)
+    return model, kernel(solved)(errors, state), request.param
 
 
 def wrench(moment, force, place):
     return np.concatenate([moment + np.cross(place, force), force])
 
 
-def beyond(model, out, name, x):
+def beyond(model, out, name, x, shape):
     """Wrench at the global origin that the part beyond x of a link exerts on the rest: loads there less its inertia."""
     actual, now, (force, moment), ((rotation, point), spin), _ = out
     topology, l = model.topology, model.topology.links.index(name)
@@ -97,10 +127,13 @@ def beyond(model, out, name, x):
                 couple = turned @ alpha + np.cross(w, turned @ w)
                 return wrench(couple, mass * (acceleration - actual.gravity), point[:, node] + arm)
 
-            half = 0.5 * (edges[i + 1] - x)
-            for s, weight in zip(x + half * (1 + POINTS), half * WEIGHTS):
-                density, rotary = model.section.line_density[l], np.asarray(model.section.rotary[:, l])
-                total += momentum(weight * density, np.array([s - middles[i], 0, 0]), np.diag(rotary) * weight)
+            scale = length / float(model.length[l])
+            steps = [place * scale for place in (0.1, 0.12, 0.21) if x < place * scale < edges[i + 1]]
+            for low, high in pairwise([x, *steps, edges[i + 1]]):
+                half = 0.5 * (high - low)
+                for s, weight in zip(low + half * (1 + POINTS), half * WEIGHTS):
+                    density, rotary = along(shape, name, s / scale)
+                    total += momentum(weight * density, np.array([s - middles[i], 0, 0]), np.diag(rotary) * weight)
             for k, holder in enumerate(topology.masses):
                 place = np.asarray(model.point_position[:, k]) * [length / model.length[l], 1, 1]
                 if holder == node and middles[i] + place[0] > x:
@@ -150,7 +183,7 @@ def is_beyond(topology, l, node, place, middles, a, x):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LINKS)
 def test_loads_of_sections_are_what_the_rest_of_the_link_exerts(moving, name):
-    model, out = moving
+    model, out, shape = moving
     actual, _, _, ((rotation, point), _), sections = out
     place, found = sections[name]
     n, l = LINKS[name], model.topology.links.index(name)
@@ -166,7 +199,7 @@ def test_loads_of_sections_are_what_the_rest_of_the_link_exerts(moving, name):
                 actual.lever_right[s + free],
             ]
             at = np.mean([point[:, k] + rotation[:, 0, k] * v for k, v in zip(sides, levers)], axis=0)
-            expected = beyond(model, out, name, x)
+            expected = beyond(model, out, name, x, shape)
             force, moment = expected[3:], expected[:3] - np.cross(at, expected[3:])
             for found_part, part in ((found[:3, s], force), (found[3:, s], moment)):
                 assert np.linalg.norm(found_part) == pytest.approx(np.linalg.norm(part), rel=1e-7)
@@ -177,12 +210,14 @@ def test_loads_of_sections_are_what_the_rest_of_the_link_exerts(moving, name):
         at = point[:, node] + rotation[:, 0, node] * (x - middle)
         errors = []
         for side in (-STEP, STEP):
-            expected = beyond(model, out, name, x + side)
+            expected = beyond(model, out, name, x + side, shape)
             force, moment = expected[3:], expected[:3] - np.cross(at, expected[3:])
             turned = np.concatenate([rotation[:, :, node].T @ force, rotation[:, :, node].T @ moment])
             errors.append(np.abs((found[:, s] - turned) / scale).max())
         matched.append(int(np.argmin(errors)))
         assert min(errors) < 1e-6
+    if shape == "tapered":
+        return  # places tell already on which side of a step they are
     # Both sides of everything that acts, in pairs.
     pairs = matched[: len(matched) - (7 if n == 1 else 0)]
     assert all({a, b} == {0, 1} for a, b in zip(pairs[::2], pairs[1::2]))

@@ -147,8 +147,10 @@ def smaller(one: Number, other: Number) -> Number:
 
 
 def chosen(condition: bool | Bool[np.ndarray, ""] | Bool[Array, ""], one: Number, other: Number) -> Number:
-    """The first number where a condition holds, else the second one."""
-    return jnp.where(condition, one, other) if traced((condition, one, other)) else one if condition else other
+    """The first number where a condition holds, else the second one; of arrays, too."""
+    if traced((condition, one, other)):
+        return jnp.where(condition, one, other)
+    return np.where(condition, one, other) if np.ndim(condition) else one if condition else other  # pyright: ignore[reportReturnType]
 
 
 def rotation_of_angles(angles: Sequence[Number]) -> Float[np.ndarray, "3 3"] | Float[Array, "3 3"]:

@@ -46,6 +46,15 @@ from rfem_jax.description.mechanism.sections import (
     Tube,
     require_triangle,
 )
+from rfem_jax.description.mechanism.stations import (
+    Span,
+    Station,
+    require_alike,
+    require_order,
+    require_stations,
+    section_between,
+    spans_of,
+)
 
 MOST_RFES = 1000
 _USUAL_RFES = 5
@@ -100,7 +109,8 @@ class Link(NumberTree, ChecksItself):
     Args:
         name: a word, other than "base".
         length: L [m], > 0.
-        section: Rectangle, Circle, Tube or GivenSection (a rigid link needs it for its mass, unless it has a body).
+        section: Rectangle, Circle, Tube or GivenSection (a rigid link needs it for its mass, unless it has a body), of
+            a link with stations that at its start.
         material: a Material; None with a GivenSection.
         rigid: True makes the link one rigid body.
         rfes: number n of rigid finite elements of a flexible link; 1 is the same as rigid.
@@ -127,6 +137,7 @@ class Link(NumberTree, ChecksItself):
     thermal_expansion: Quantity | None = None
     temperature_gradient_y: Quantity | None = None
     temperature_gradient_z: Quantity | None = None
+    stations: tuple[Station, ...] = ()
 
     numbers: ClassVar[Fields] = {
         "temperature": ("temperature", ANY),
@@ -158,11 +169,16 @@ class Link(NumberTree, ChecksItself):
         for name in GRADIENTS:
             checks.relation(("rigid", "rfes", name), self._check_bends, name, of)
         checks.convert("point_masses", _masses, of)
+        checks.convert("stations", require_stations, of)
+        checks.relation(("length", "section", "body", "stations"), self._check_stations, of)
         for entry in self.point_masses if checks.passed("point_masses") else ():
             checks.relation(("length", "rigid", "rfes"), self._check_point_mass, entry, of)
 
     def _check_material(self, of: str) -> None:
-        if isinstance(self.section, GivenSection):
+        self._check_material_of(self.section, of)
+
+    def _check_material_of(self, section: Section | None, of: str) -> None:
+        if isinstance(section, GivenSection):
             if self.material is not None:
                 raise InputError(
                     f"Argument `material` {of} must be left out where the section gives its own "
@@ -187,6 +203,20 @@ class Link(NumberTree, ChecksItself):
                 f"Argument `{name}` {of} must be left out where the link is rigid, as it does not bend, but was "
                 f"{short(getattr(self, name))}; make the link flexible, or leave it out."
             )
+
+    def _check_stations(self, of: str) -> None:
+        if not self.stations:
+            return
+        if self.section is None:
+            raise InputError(
+                f"Argument `stations` {of} must be left out where the link has a body, but was given; remove one of "
+                "the two."
+            )
+        require_order(self.length, self.stations, of)
+        require_alike(self.spans, of)
+        for span in self.spans:
+            for section in span[2:]:
+                self._check_material_of(section, of)
 
     def _check_body(self, of: str) -> None:
         for field in ("section", "material"):
@@ -235,9 +265,33 @@ class Link(NumberTree, ChecksItself):
         return self.section.properties(self.material)
 
     @property
+    def spans(self) -> tuple[Span, ...]:
+        """The parts of a link with a section, between its stations."""
+        assert self.section is not None, "a body has none"
+        return spans_of(self.length, self.section, self.stations)
+
+    @property
+    def sections(self) -> tuple[Section, ...]:
+        """Its sections in their order, those of its stations included; none of a body."""
+        of_stations = (one for station in self.stations for one in (station.section, station.after))
+        return tuple(one for one in (self.section, *of_stations) if one is not None)
+
+    @property
+    def beam_mass(self) -> Number:
+        """Mass [kg] without point masses and body."""
+        if not self.stations:
+            return self.properties.line_density * self.length
+        total: Number = 0.0
+        for begin, end, first, last in self.spans:  # Simpson's rule, which is exact for areas of linear sizes
+            for share, weight in ((0.0, 1.0), (0.5, 4.0), (1.0, 1.0)):
+                density = section_between(first, last, share).properties(self.material).line_density
+                total = total + weight / 6.0 * (end - begin) * density
+        return total
+
+    @property
     def mass(self) -> Number:
         """All mass [kg], that of point masses included."""
-        own = self.properties.line_density * self.length if self.body is None else self.body.mass
+        own = self.beam_mass if self.body is None else self.body.mass
         return own + sum(point.mass for point in self.point_masses)
 
 

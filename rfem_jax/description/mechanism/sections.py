@@ -408,6 +408,19 @@ _EDGE = {"edge_y": "length", "edge_z": "length", "edge_modulus": "pressure", "to
 Section = Rectangle | Circle | Tube | GivenSection
 
 
+def plane_names(plane: str) -> tuple[str, str]:
+    """Names of a section's axes that lie along y and z of its link, with the plane of a description; signs apart."""
+    return ("y", "z") if plane == "xz" else ("z", "y")
+
+
+def plane_edges(points: Collection[EdgePoint], plane: str) -> tuple[EdgePoint, ...]:
+    """Stresses at the edge per unit of loads in the axes of a link."""
+    if plane == "xz":
+        return tuple(points)
+    # Moments about y of the section are about z of the link, those about its z about -y.
+    return tuple((axial, -about_z, about_y, torque) for axial, about_y, about_z, torque in points)
+
+
 def require_triangle(inertias: tuple[float, float, float], where: str) -> None:
     """Raise InputError unless no principal inertia exceeds the sum of the two others, as far as these are known."""
     if not is_known(inertias):

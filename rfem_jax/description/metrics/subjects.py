@@ -80,7 +80,8 @@ def subjects_of(mechanism: Mechanism) -> MetricSubjects:
         for one in mechanism.joints
     }
     links = {
-        one.name: LinkSubject(one.section is not None and bool(one.section.edge_stresses())) for one in mechanism.links
+        one.name: LinkSubject(one.section is not None and all(two.edge_stresses() for two in one.sections))
+        for one in mechanism.links
     }
     points = {one.name: PointSubject(bool(driven)) for one in mechanism.points}
     couplings = {one.name: CouplingSubject(one.turns[1]) for one in mechanism.couplings}

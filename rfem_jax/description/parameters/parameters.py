@@ -201,31 +201,42 @@ def _of_links(parts: Parts) -> Iterator[Parameter]:
         for n, mass in enumerate(link.point_masses, start=1):
             at = (*path, "point_masses", n - 1)
             yield from _fields(owner, mass, mass.numbers, [at], f"point_masses.{n}.")
+        for n, station in enumerate(link.stations):
+            yield from _fields(owner, station, station.numbers, [(*path, "stations", n)], f"stations.{n + 1}.")
     for kind in ("section", "material"):
         yield from _shared(parts.links, kind)
 
 
+def _of_kind(links: Sequence[Link], kind: str) -> Iterator[tuple[Path, Link, Any]]:
+    """Sections or materials of links, with their places in the parts."""
+    for i, link in enumerate(links):
+        yield ("links", i, kind), link, getattr(link, kind)
+        for n, station in enumerate(link.stations if kind == "section" else ()):
+            for name in ("section", "after"):
+                yield ("links", i, "stations", n, name), link, getattr(station, name)
+
+
 def _shared(links: Sequence[Link], kind: str) -> Iterator[Parameter]:
     """Parameters of sections or materials, those of one name and content once."""
-    own: list[tuple[int, Link, Any]]
-    own = [(i, link, getattr(link, kind)) for i, link in enumerate(links) if getattr(link, kind) is not None]
+    own = [one for one in _of_kind(links, kind) if one[2] is not None]
     by_name: dict[str, list[Any]] = {}
     for _, _, thing in own:
         by_name.setdefault(thing.name, []).append(thing)
     done: set[str] = set()
-    for i, link, thing in own:
+    for path, link, thing in own:
         alike = thing.name is not None and all(other == thing for other in by_name[thing.name])
         if alike and thing.name in done:
             continue
-        users = [n for n, _, other in own if other.name == thing.name] if alike else [i]
-        owner, before = ("link", link.name), f"{kind}."
+        users = [at for at, _, other in own if other.name == thing.name] if alike else [path]
+        within = [str(step + 1) if isinstance(step, int) else step for step in path[2:]]
+        owner, before = ("link", link.name), f"{'.'.join(within)}."
         if alike:
             done.add(str(thing.name))
             owner, before = (kind, str(thing.name)), ""
         fields = dict(thing.numbers)
         if isinstance(thing, Tube) and thing.shear_factor == thing.derived_factor:
             del fields["shear_factor"]
-        yield from _fields(owner, thing, fields, [("links", n, kind) for n in users], before)
+        yield from _fields(owner, thing, fields, users, before)
 
 
 def _of_body(owner: tuple[str, str], body: RigidBody, path: Path) -> Iterator[Parameter]:

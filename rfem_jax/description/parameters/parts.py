@@ -116,8 +116,12 @@ def renamed_parts(parts: Parts, names: Any) -> Parts:
 
 
 def _with_shared(link: Link, names: Any) -> Link:
-    shared = {kind: getattr(link, kind) for kind in ("section", "material")}
-    return link.with_fields(**{kind: one and _renamed(one, ("name",), names) for kind, one in shared.items()})
+    def of(thing: Any, kinds: Sequence[str]) -> Any:
+        shared = {kind: getattr(thing, kind) for kind in kinds}
+        return thing.with_fields(**{kind: one and _renamed(one, ("name",), names) for kind, one in shared.items()})
+
+    stations = tuple(of(station, ("section", "after")) for station in link.stations)
+    return of(link, ("section", "material")).with_fields(stations=stations)
 
 
 def _renamed(thing: Any, fields: Sequence[str], names: Any) -> Any:

@@ -23,6 +23,7 @@ from rfem_jax.description.mechanism.materials import Material
 from rfem_jax.description.mechanism.mechanism import Mechanism
 from rfem_jax.description.mechanism.points import Point
 from rfem_jax.description.mechanism.rigid_bodies import RigidBody
+from rfem_jax.description.mechanism.stations import Station
 from rfem_jax.description.methods import METHOD_CLASSES, settings_of
 from rfem_jax.description.study_file.force_reader import (
     FORCES,
@@ -63,6 +64,7 @@ _IN_A_FILE = {  # where a file has something else than the class
     "section": "name of a table [mechanism.sections.NAME] (a rigid link needs it for its mass, unless it has a body)",
     "material": 'name of a table [mechanism.materials.NAME]; none with a section of shape "given"',
     "body": "table {mass = ..., centre = ..., inertia = ...} in the place of section and material; the link is rigid",
+    "stations": "list of tables, [{x = ..., section = ..., after = ...}, ...]",
     "point_masses": "list of tables, [{mass = ..., position = ...}, ...]",
     "compliance": "table { radial = ..., axial = ..., ... }; none: rigid",
     "clearance": "table { radial = ..., length = ..., stiffness = ..., ... } in the place of compliance; none: no play",
@@ -120,6 +122,8 @@ def key_tables() -> list[KeyTable]:
         ("body of [[mechanism.links]]", RigidBody),
     ):
         tables.append(_table(header, kind, *keys_of(kind), _IN_A_FILE))
+    named: dict[str, str] = dict.fromkeys(("section", "after"), "name of a table [mechanism.sections.NAME]")
+    tables.append(_table("stations of [[mechanism.links]]", Station, *keys_of(Station), named))
     tables += [*_joint_tables(), *_force_tables()]
     tables.append(_table("[[mechanism.couplings]]", Coupling, *keys_of(Coupling)))
     tables.append(_table("[[mechanism.points]]", Point, *keys_of(Point)))

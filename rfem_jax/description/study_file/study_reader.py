@@ -44,6 +44,7 @@ from rfem_jax.description.mechanism.mechanism import STARTS, Mechanism
 from rfem_jax.description.mechanism.points import Point
 from rfem_jax.description.mechanism.rigid_bodies import RigidBody
 from rfem_jax.description.mechanism.sections import Circle, GivenSection, Rectangle, Section, Tube
+from rfem_jax.description.mechanism.stations import Station
 from rfem_jax.description.methods import Method, named_method, setting_names
 from rfem_jax.description.study_file.force_reader import read_force, read_joint, read_spring
 
@@ -197,6 +198,18 @@ def _read_link(table: object, place: str, materials: Any, sections: Any) -> Link
     if "point_masses" in settings:
         header, read = f"{place} point_masses", partial(read_table, PointMass)
         settings["point_masses"] = problems.attempt(read_list, settings["point_masses"], header, read)
+    if "stations" in settings:
+        header, read = f"{place} stations", partial(_read_station, sections=sections)
+        settings["stations"] = problems.attempt(read_list, settings["stations"], header, read)
     if "body" in settings:
         settings["body"] = problems.attempt(read_table, RigidBody, settings["body"], f"{place} body")
     return build(Link, settings, place, problems)
+
+
+def _read_station(table: object, place: str, sections: Any) -> Station:
+    problems = Problems()
+    settings = checked_table(table, place, *keys_of(Station), problems)
+    for key in ("section", "after"):
+        if settings.get(key, ABSENT) is not ABSENT:
+            settings[key] = problems.attempt(_named_part, settings[key], sections, "section", place)
+    return build(Station, settings, place, problems)

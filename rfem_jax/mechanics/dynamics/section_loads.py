@@ -9,7 +9,7 @@ rfe's left (theory (8.10)). They are what the part with the larger x exerts on t
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +27,7 @@ from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 RIGID_PARTS = 8  # of a rigid link, at whose ends there are sections, too
 SAME_PLACE = 1e-9  # of the link's length
+NO_ATTACHMENT = 1_000_000  # a number that no attachment has
 
 
 class SectionLoads(NamedTuple):
@@ -85,6 +86,7 @@ def loads_of_sections(model: Model, actual: ModelWithErrors, state: State, now: 
         attachments = _attachments(model, actual, now, link, bodies)
         length = _length(actual, link)
         sections = _sections_beside(attachments, n, length)
+        sections += _at_stations(model, actual, link)
         parts = []
         if n > 1:
             at_sdes = elasticity.section_loads(actual, state, now.motion.relative)[:, first : first + n - 1]
@@ -121,18 +123,23 @@ def _loads_at(
     x = jnp.stack([_beam_place(actual, link, rfe, x) for rfe, x, _ in sections])
     wrench = _reference_loads(actual, state, now, link, bodies, rfes)
     start = _reference_positions(actual, link, rfes)
-    wrench = wrench + _piece_loads(model, actual, link, bodies.at(rfes), start, x)
+    wrench = wrench + _piece_loads(model, actual, link, bodies.at(rfes), rfes, (start, x))
     if now.frame_loads is not None and now.frame_loads.lines is not None:
         wrench = wrench - _line_loads(actual, now.frame_loads, link, bodies.at(rfes), rfes, (start, x))
-    wrench = wrench + _attachment_loads(attachments, sections, n, SAME_PLACE * _length(actual, link))
-    return x + _middles(actual, link, rfes), _section_resultants(bodies.at(rfes), x, wrench)
+    near = SAME_PLACE * _length(actual, link)
+    wrench = wrench + _attachment_loads(attachments, sections, n, near)
+    place = x + _middles(actual, link, rfes)
+    if model.profiles is not None and model.profiles[link] is not None:
+        # To its side of a step there, whose section it has.
+        place = place + near * np.array([0.0 if one is None else 1.0 if one >= 0 else -1.0 for _, _, one in sections])
+    return place, _section_resultants(bodies.at(rfes), x, wrench)
 
 
 def stress_squares(
-    edge: Float[Array, "4 points"], resultants: Float[Array, "*times 6 sections"]
+    edge: Float[Array, "4 points"] | Float[Array, "4 points sections"], resultants: Float[Array, "*times 6 sections"]
 ) -> Float[Array, "*times points sections"]:
     """Squares of the von Mises stress [Pa^2] at the edge of the sections of a link (theory (8.11))."""
-    axial, about_y, about_z, by_torque = (edge[i, :, None] for i in range(4))
+    axial, about_y, about_z, by_torque = (edge[i] if edge.ndim == 3 else edge[i, :, None] for i in range(4))
     force, torque, moment_y, moment_z = (resultants[..., i, None, :] for i in (0, 3, 4, 5))
 
     def product_of(column: Array, load: Array) -> Array:
@@ -248,6 +255,29 @@ def _sections_beside(attachments: Sequence[_Attachment], n: int, length: Array) 
     return sections
 
 
+def _at_stations(model: Model, actual: ModelWithErrors, link: int) -> list[tuple[int, Array, int | None]]:
+    """Sections on both sides of the stations inside a link, as of `_sections_beside`; so are those of attachments that
+    are at a station."""
+    profile = None if model.profiles is None else model.profiles[link]
+    if profile is None:
+        return []
+    longer, sections = _length(actual, link) / model.length[link], []
+    for rfe, span in zip(model.topology.stations[link], profile.spans[1:], strict=False):
+        x = span.begin * longer - _middles(actual, link, [rfe])[0]
+        sections += [(rfe, x, -1 - NO_ATTACHMENT), (rfe, x, NO_ATTACHMENT)]
+    return sections
+
+
+def section_edges(model: Model, actual: ModelWithErrors, link: int, place: Float[Array, " sections"]) -> Any:
+    """Stresses at the edges of the sections of a link at places [m], as `Sections.edges`; of a link with stations for
+    each of the sections, (4, points, sections)."""
+    edges = model.section.edges[link] if model.section.edges else None
+    profile = None if model.profiles is None else model.profiles[link]
+    if edges is None or profile is None:
+        return edges
+    return profile.edges(place * (model.length[link] / _length(actual, link)))  # its stations move with its length
+
+
 def _attachment_loads(
     attachments: Sequence[_Attachment], sections: Sequence[tuple[int, Array, int | None]], n: int, near: Array
 ) -> Array:
@@ -302,12 +332,29 @@ def _reference_loads(
     return jnp.stack(columns, axis=1)
 
 
-def _piece_loads(model: Model, actual: ModelWithErrors, link: int, bodies: _Bodies, start: Array, stop: Array) -> Array:
-    """Rate of momentum minus weight of the pieces of beam from `start` to `stop` [m], as wrenches (6, n) at the global
-    origin; negative where `stop` is smaller."""
+def _piece_loads(
+    model: Model,
+    actual: ModelWithErrors,
+    link: int,
+    bodies: _Bodies,
+    rfes: Sequence[int],
+    piece: tuple[Array, Array],
+) -> Array:
+    """Rate of momentum minus weight of the pieces of beam between two places [m] on rfes, as wrenches (6, n) at the
+    global origin; negative where the second place is smaller."""
+    start, stop = piece
     extent = stop - start
     mass = model.section.line_density[link] * extent
     middle, zero = 0.5 * (start + stop), jnp.zeros_like(start)
+    profile = None if model.profiles is None else model.profiles[link]
+    if profile is not None:
+        longer, about = _length(actual, link) / model.length[link], _middles(actual, link, rfes)
+        pieces = profile.pieces((start + about) / longer, (stop + about) / longer)
+        spread = pieces.spread * longer**3
+        inertia = pieces.rotary * longer + jnp.asarray(np.array([0.0, 1.0, 1.0]))[:, None] * spread[None]
+        inertia = jnp.asarray(vectors.IDENTITY)[:, :, None] * inertia[:, None]
+        middle = pieces.centre * longer - about
+        return _inertial_wrench(actual, bodies, pieces.mass * longer, jnp.stack([middle, zero, zero]), inertia)
     principal = [model.section.rotary[i, link] * extent for i in range(3)]
     slender = mass * extent**2 / 12.0
     principal = jnp.stack([principal[0], principal[1] + slender, principal[2] + slender])

@@ -22,6 +22,7 @@ from rfem_jax.description.mechanism.links import GRADIENTS, Link
 from rfem_jax.description.mechanism.mechanism import EQUILIBRIUM, MINIMUM_NORM, Mechanism
 from rfem_jax.description.mechanism.point_forces import AtPoint, BetweenPoints
 from rfem_jax.description.mechanism.points import NamedPoint
+from rfem_jax.description.mechanism.sections import plane_edges, plane_names
 from rfem_jax.description.parameters.parts import Parts, parts_of
 from rfem_jax.mechanics.laws.bearings import bearing_capacities
 from rfem_jax.mechanics.laws.clearances import clearance_name, pin_in_bush
@@ -35,6 +36,7 @@ from rfem_jax.mechanics.laws.point_laws import load_at, spring_between
 from rfem_jax.mechanics.model.model import BASE, CarriedPoint, Model, Sections, Topology, rfe_fractions
 from rfem_jax.mechanics.model.named_points import with_named_points
 from rfem_jax.mechanics.model.orientations import quaternion_of_angles
+from rfem_jax.mechanics.model.profiles import profile_of, taper_of
 from rfem_jax.mechanics.model.sources import ForceNodes, source_of
 from rfem_jax.mechanics.model.warmth import warmed
 
@@ -103,9 +105,20 @@ def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], 
         plane=mechanism.plane,
         massless=tuple(i for i, link in enumerate(links) if link.mass == 0.0),
         ideal=tuple(one.name for one in ideal),
+        stations=_stations(links, discretised) if any(link.stations for link in links) else (),
         coupled=tuple(sorted({_coordinate(joints, *motion) for one in ideal for motion in one.coordinates})),
     )
     return PartStructure(topology, (*acted, *followed), any(any(mass.products) for _, mass in masses))
+
+
+def _stations(links: Sequence[Link], discretised: "_Links") -> tuple[tuple[int, ...], ...]:
+    """Of every link the rfes that hold its stations inside."""
+    held = []
+    for i, link in enumerate(links):
+        n = discretised.elements[i]
+        inside = [float(one.x) / link.length for one in link.stations if one.x is not None]
+        held.append(tuple(0 if n == 1 else int(np.clip(x * (n - 1) + 0.5, 0, n - 1)) for x in inside))
+    return tuple(held)
 
 
 def arrays_of(parts: Parts, structure: PartStructure) -> Model:
@@ -147,6 +160,10 @@ def arrays_of(parts: Parts, structure: PartStructure) -> Model:
         shaking_point=None if parts.shaking_point is None else _array(parts.shaking_point),
         curvature=_curvatures(links),
     )
+    profiles = tuple(profile_of(link, parts.plane) for link in links)
+    if any(profiles):
+        ends = [np.cumsum([0.0, *rfe_fractions(n)[0]]) for n in topology.elements]
+        model = replace(model, profiles=profiles, taper=taper_of(links, ends, parts.plane))
     model = with_named_points(model, [one.name for one in parts.points if isinstance(one, NamedPoint)])
     return _with_clearances(model, joints) if topology.clearances else model
 
@@ -400,7 +417,7 @@ def _start_rates(joints: Sequence[Joint], topology: Topology) -> Array | None:
 
 def _sections(links: Sequence[Link], plane: str) -> Sections:
     properties = [link.properties for link in links]
-    y, z = ("y", "z") if plane == "xz" else ("z", "y")  # along the hinges of the plane, and across them
+    y, z = plane_names(plane)  # along the hinges of the plane, and across them
 
     def row(name: str) -> Array:
         return _array([getattr(p, name) for p in properties])
@@ -410,7 +427,9 @@ def _sections(links: Sequence[Link], plane: str) -> Sections:
 
     return Sections(
         stiffness=rows("axial", f"shear_{y}", f"shear_{z}", "torsion", f"bending_{y}", f"bending_{z}"),
-        line_density=row("line_density"),
+        line_density=_array(
+            [link.beam_mass / link.length if link.stations else p.line_density for link, p in zip(links, properties)]
+        ),
         rotary=rows("rotary_x", f"rotary_{y}", f"rotary_{z}"),
         damping=row("damping"),
         edges=tuple(_edge(link, plane) for link in links),
@@ -439,9 +458,9 @@ def _array(values: Sequence[Number]) -> Array:
 
 def _edge(link: Link, plane: str) -> Array | None:
     """Stresses at the edge of a link's section per unit of its loads; None if the section does not give its edge."""
-    points = () if link.section is None else link.section.edge_stresses()
-    if plane == "xy":  # moments about y of the section are about z of the link, those about its z about -y
-        points = tuple((axial, -about_z, about_y, torque) for axial, about_y, about_z, torque in points)
+    if not all(section.edge_stresses() for section in link.sections):
+        return None
+    points = () if link.section is None else plane_edges(link.section.edge_stresses(), plane)
     return jnp.asarray(array_of([list(point) for point in points]).T, jnp.float64) if points else None
 
 

@@ -40,6 +40,7 @@ from rfem_jax.mechanics.laws.joint_laws import JointLaw
 from rfem_jax.mechanics.laws.joint_springs import CompliantSpring
 from rfem_jax.mechanics.laws.line_loads import LineLoad
 from rfem_jax.mechanics.laws.point_laws import GivenLoad, TimeVector
+from rfem_jax.mechanics.model.profiles import Profile, Taper
 from rfem_jax.mechanics.model.sources import Source
 from rfem_jax.mechanics.model.summary import model_text
 
@@ -105,6 +106,7 @@ class Topology(NamedTuple):
     plane: "xz" or "xy", in which the description has planar mechanisms.
     ideal: names of the ideal couplings, whose equations come after those of the cut joints; coupled: the joint
         coordinates of these.
+    stations: of every link the rfes that hold its stations inside; () without any.
     """
 
     links: tuple[str, ...]
@@ -136,6 +138,7 @@ class Topology(NamedTuple):
     plane: str = "xz"
     ideal: tuple[str, ...] = ()
     coupled: tuple[int, ...] = ()
+    stations: tuple[tuple[int, ...], ...] = ()
 
     def renamed(self, names: Names) -> "Topology":
         """With other names."""
@@ -405,7 +408,8 @@ class Model(eqx.Module):
     asked for; points: whose paths are followed, by their names, None without any; line_loads: along links, likewise;
     shaking_point [m]: about which the moment on the base is taken, None for the origin; couplings: of joint
     coordinates, by their names, None without any; curvature: rotations about y and z per length [1/m] of links without
-    load, None where all are straight.
+    load, None where all are straight; profiles: of every link its sections along it, None of one without stations;
+    taper: rfes and sdes of all links; both None without any stations.
 
     Numbers of the description change by a `rfem_jax.design`, from which all arrays follow.  `equinox.tree_at` may
     replace what is no number of a description and leaves the geometry as it is, such as the stiffnesses of one link of
@@ -440,6 +444,8 @@ class Model(eqx.Module):
     shaking_point: Float[Array, "3"] | None = None
     couplings: dict[str, CouplingLaw] | None = None
     curvature: Float[Array, "2 links"] | None = None
+    profiles: tuple[Profile | None, ...] | None = None
+    taper: Taper | None = None
 
     @property
     def vectors_of_time(self) -> list[TimeVector]:

@@ -21,7 +21,7 @@ from rfem_jax.compilation import keys
 from rfem_jax.compilation.naming import Names
 from rfem_jax.description.basics.numbers import Number, array_of
 from rfem_jax.description.mechanism.forces import Force
-from rfem_jax.description.mechanism.sections import Tube
+from rfem_jax.description.mechanism.sections import Section, Tube
 from rfem_jax.description.parameters.parameters import ParameterNames, named_parameters
 from rfem_jax.description.parameters.parts import (
     Parts,
@@ -129,15 +129,24 @@ def _drop_derived_numbers(parts: Parts) -> Parts:
     """Without numbers that follow from others: derived shear factors, and start values, which loops or drives set."""
     links, joints = [], []
     for link in parts.links:
-        if isinstance(link.section, Tube) and link.section.shear_factor == link.section.derived_factor:
-            link = link.with_fields(section=link.section.with_fields(shear_factor=None))
-        links.append(link)
+        stations = tuple(
+            station.with_fields(section=_without_derived(station.section), after=_without_derived(station.after))
+            for station in link.stations
+        )
+        links.append(link.with_fields(section=_without_derived(link.section), stations=stations))
     for joint in parts.joints:
         zeros = {"angle": 0.0, "displacement": 0.0, "start": scaled(joint.start, 0.0)}
         given = {name: zero for name, zero in zeros.items() if getattr(joint, name) is not None}
         # Its springs are parts of their own.
         joints.append(joint.with_fields(**given, compliance=None))
     return replace(parts, links=tuple(links), joints=tuple(joints), forces=tuple(map(_zero_arrays, parts.forces)))
+
+
+def _without_derived(section: Section | None) -> Section | None:
+    """A section without a shear factor that follows from its diameters."""
+    if isinstance(section, Tube) and section.shear_factor == section.derived_factor:
+        return section.with_fields(shear_factor=None)
+    return section
 
 
 def _zero_arrays(force: Force) -> Force:

@@ -15,6 +15,7 @@ from rfem_jax.description.mechanism.forces import Force
 from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.links import Link
 from rfem_jax.description.mechanism.point_forces import AtPoint, BetweenPoints
+from rfem_jax.description.mechanism.stations import Station
 from rfem_jax.description.parameters.parts import Parts, scaled
 
 # Of a given section, per length.
@@ -57,9 +58,23 @@ def _link(link: Link, growth: Number) -> Link:
     elif link.material is not None:
         changed["material"] = link.material.with_fields(density=link.material.density / growth)
     elif link.section is not None:
-        per_length = {name: getattr(link.section, name) / growth for name in INERTIAS}
-        changed["section"] = link.section.with_fields(**per_length)
+        changed["section"] = _thinned(link.section, growth)
+    changed["stations"] = tuple(_station(station, growth, link.material is None) for station in link.stations)
     return link.with_fields(**changed)
+
+
+def _station(station: Station, growth: Number, given: bool) -> Station:
+    """A station of a link that has grown; `given`: whether its sections state their own inertias."""
+    changed: dict[str, Any] = {"x": scaled(station.x, growth)} if station.x is not None else {}
+    for name in ("section", "after") if given else ():
+        if getattr(station, name) is not None:
+            changed[name] = _thinned(getattr(station, name), growth)
+    return station.with_fields(**changed)
+
+
+def _thinned(section: Any, growth: Number) -> Any:
+    """A given section of a link that has grown and kept its mass."""
+    return section.with_fields(**{name: getattr(section, name) / growth for name in INERTIAS})
 
 
 def _joint(joint: Joint, found: Growths) -> Joint:

@@ -224,13 +224,14 @@ def with_structural_zeros(actual: ModelWithErrors) -> ModelWithErrors:
     """The constants with entries that are zero for all numbers and errors as constants of the program: a kernel leaves
     out the products with them.
 
-    A segment's centre of mass lies on its axis and its inertia is diagonal, unless it has a point mass.
+    A segment's centre of mass lies on its axis, in its middle unless links have stations, and its inertia is diagonal,
+    unless it has a point mass.
     """
     topology = actual.topology
     n, nodes = topology.n_links, topology.n_links + topology.n_rfes
     plain = ~np.isin(np.arange(nodes), topology.masses)
     off_axis = np.array([False, True, True])[:, None] & plain
-    off_axis[0, n:] = plain[n:]
+    off_axis[0, n:] = plain[n:] & (not topology.stations)
     off_diagonal = ~np.eye(3, dtype=bool)[:, :, None] & plain
     zeros = off_axis, off_diagonal, off_diagonal[:, :, n:]
     changed = actual.centre, actual.inertia, actual.inverse_inertia
@@ -279,6 +280,11 @@ def _bodies(
     principal = slender + rotary * extent[None]
     is_root = np.arange(nodes) < n_links
     axial = jnp.where(is_root, middle * lengths, 0.0)
+    if model.taper is not None:  # theory (1.18), of the link as long as it is
+        longer = _link_values(scale, link)
+        mass, axial = model.taper.mass * longer, model.taper.centre * longer
+        slender = jnp.asarray(np.array([0.0, 1.0, 1.0]))[:, None] * (model.taper.spread * longer**3)[None]
+        principal = slender + model.taper.rotary * longer[None]
     beam_centre = _x_vectors(axial)
 
     holder = np.array(topology.masses, dtype=int)
@@ -338,9 +344,12 @@ def _spring_damping_elements(model: Model, length: Array) -> dict[str, Array]:
     right = np.concatenate([x[1:] for x in middles]) if middles else np.zeros(0)
     place = (index + 0.5) / np.maximum(count, 1.0)
     extent = _link_values(length, link)
+    stiffness = _link_values(model.section.stiffness, link) * (count / extent)[None]
+    if model.taper is not None:  # theory (1.17)
+        stiffness = model.taper.stiffness * _link_values(model.length / length, link)[None]
     return {
         "rest": jnp.asarray(right) * extent,
-        "stiffness": _link_values(model.section.stiffness, link) * (count / extent)[None],
+        "stiffness": stiffness,
         "damping": _link_values(model.section.damping, link),
         "lever_left": jnp.asarray(place - left) * extent,
         "lever_right": jnp.asarray(place - right) * extent,

@@ -212,9 +212,9 @@ FIELDS = tuple(field.name for field in fields(Model) if field.name not in ("topo
 def _changes_of(flags: Model) -> Changes:
     """Of a model that has flags in the place of its arrays."""
     return tuple(
-        tuple((name, tuple(jax.tree.leaves(value[name]))) for name in sorted(value))
+        tuple((name, tuple(map(bool, jax.tree.leaves(value[name])))) for name in sorted(value))
         if isinstance(value, dict)
-        else tuple(jax.tree.leaves(value))
+        else tuple(map(bool, jax.tree.leaves(value)))
         for value in (getattr(flags, field) for field in FIELDS)
     )
 
@@ -277,15 +277,15 @@ def _plan_of(blueprint: Blueprint, topology: Topology, names: tuple[str, ...]) -
     numbers = [NOTHING if one.full in names else number for one, number in described]
     with jax.ensure_compile_time_eval(), np.errstate(all="ignore"):
         model = jax.tree.map(np.asarray, arrays_of(blueprint.filled(numbers), structure))
-    flags = jax.tree.map(lambda x: bool(np.isnan(x).any()), model)
+    flags = jax.tree.map(lambda x: np.isnan(x).any(), model)  # of NumPy: the sections' numbers, unlike choices
     frames = flags.length, flags.parent_rotation, flags.parent_position, flags.child_rotation, flags.child_position
     at_start = at_closing(model).topology
     coupled = [(flags.couplings or {})[name] for name in at_start.ideal]
-    moved = any(frames) or flags.start_joints or any(jax.tree.leaves(coupled))
+    moved = bool(any(frames) or flags.start_joints or any(jax.tree.leaves(coupled)))
     closes = moved and at_start.n_constraints > 0
     elements = jax.tree.leaves(flags.frame_forces)
     flags = replace(flags, start_joints=moved, cut_angles=closes)
-    arms = any(frames) or flags.point_position or any(elements)
+    arms = bool(any(frames) or flags.point_position or any(elements))
     return Plan(_changes_of(flags), closes, arms, structure.products)
 
 
@@ -358,8 +358,11 @@ def _possible(parts: Parts, numbers: list[tuple[Parameter, Array]]) -> Bool[Arra
     for growth in growths(parts).values():
         good = good & (growth > 0.0)
     for link in parts.links:
-        if isinstance(link.section, Tube):
-            good = good & (jnp.asarray(link.section.inner_diameter) > 0.0)
+        for section in link.sections:
+            if isinstance(section, Tube):
+                good = good & (jnp.asarray(section.inner_diameter) > 0.0)
+        for span in link.spans if link.stations else ():
+            good = good & (jnp.asarray(span.begin) < span.end)
     return good
 
 
