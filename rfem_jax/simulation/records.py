@@ -98,7 +98,9 @@ class SectionHistory(eqx.Module):
         edge = edge if edge.ndim == 3 else edge[:, :, None]
         outermost = {"y": jnp.min, "-y": jnp.max, "z": jnp.max, "-z": jnp.min}[side]
         by_moment, moment = (edge[2], 5) if "y" in side else (edge[1], 4)
-        return edge[0, 0] * resultants[..., 0, :] + outermost(by_moment, axis=0) * resultants[..., moment, :]
+        force, moment = resultants[..., 0, :], resultants[..., moment, :]
+        per_force, per_moment = (jnp.broadcast_to(x, force.shape) for x in (edge[0, 0], outermost(by_moment, axis=0)))
+        return per_force * force + per_moment * moment
 
     def strain(self, side: str) -> Float[Array, "*times sections"]:
         """`direct_stress` over Young's modulus."""
