@@ -8,7 +8,17 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from rfem_jax import Case, GeneralisedAlpha, InputError, JointFriction, Material, MomentRamp, PrescribedRate, Rectangle
+from rfem_jax import (
+    Case,
+    GeneralisedAlpha,
+    InputError,
+    JointFriction,
+    Material,
+    MomentRamp,
+    PrescribedRate,
+    Rectangle,
+    Station,
+)
 from rfem_jax.description import Study
 from rfem_jax.exchange.exudyn_writer import exudyn_text
 from rfem_jax.report.command_line import main
@@ -30,11 +40,15 @@ def flexible(drive):
     return Study("x", mechanism, drive, 0.1, method, cases=(Case("askew", ERRORS),))
 
 
+def content_of(script):
+    return json.loads(re.search(r'r"""\n(.*?)\n"""', script, re.DOTALL)[1])
+
+
 def test_the_script_holds_the_numbers():
     """Of rfes with all mass, of the frames with errors, of the drive at the ends of its pieces."""
     script = exudyn_text(flexible(MomentRamp("A", 2.0, 0.05)), "askew", "a test")
     compile(script, "script", "exec")
-    content = json.loads(re.search(r'r"""\n(.*?)\n"""', script, re.DOTALL)[1])
+    content = content_of(script)
     assert len(content["bodies"]) == 3 + 2 and len(content["elements"]) == 2
     assert sum(one["mass"] for one in content["bodies"]) == pytest.approx(0.0942 + 2 * 0.2355)
     assert [piece["end"] for piece in content["pieces"]] == [0.05, 0.1]
@@ -49,7 +63,7 @@ def test_the_script_holds_the_numbers():
 def test_velocities_of_a_prescribed_start_fit_the_poses():
     """The ends of both halves of a bending link move as the joints between them."""
     script = exudyn_text(flexible(PrescribedRate("A", 12.0)), None, "a test")
-    content = json.loads(re.search(r'r"""\n(.*?)\n"""', script, re.DOTALL)[1])
+    content = content_of(script)
 
     def speed(side):
         one = content["bodies"][side["body"]]
@@ -71,13 +85,32 @@ def test_what_is_not_translated_is_refused():
         exudyn_text(study("stewart"), None, "x")
     with pytest.raises(InputError, match="without redundant constraints"):
         exudyn_text(study("slider_crank"), None, "x")
+    one = flexible(MomentRamp("A", 2.0, 0.05))
+    warm = {"temperature_gradient_z": "100 K/m"}
+    links = [
+        replace(link, material=replace(link.material, thermal_expansion=1.2e-5), **warm) if link.flexible else link
+        for link in one.mechanism.links
+    ]
+    with pytest.raises(InputError, match="without temperature gradients"):
+        exudyn_text(replace(one, mechanism=replace(one.mechanism, links=links)), None, "x")
 
 
-def test_only_scripts_are_verified(tmp_path, capsys):
-    path = tmp_path / "mine.toml"
-    assert main(["init", str(path)]) == 0
-    assert main(["export", str(path), "--to", "mjcf", "--verify"]) == 2
-    assert "must be left out unless --to is exudyn" in capsys.readouterr().err
+def test_a_tapered_link_is_what_its_stations_say():
+    one = flexible(MomentRamp("A", 2.0, 0.05))
+    small = Rectangle(0.006, 0.008)
+    links = [
+        replace(link, stations=[Station(section=small)]) if link.name == "coupler" else link
+        for link in one.mechanism.links
+    ]
+    tapered = replace(one, mechanism=replace(one.mechanism, links=links))
+    plain, other = (content_of(exudyn_text(study, None, "x")) for study in (one, tapered))
+    weights = [sum(body["mass"] for body in content["bodies"]) for content in (plain, other)]
+    expected = [sum(float(link.mass) for link in study.mechanism.links) for study in (one, tapered)]
+    assert weights == pytest.approx(expected, rel=1e-9) and weights[1] < weights[0]
+    # Elements of the coupler are weaker, those of the rocker as they were.
+    bending = [np.array([one["stiffness"][4] for one in content["elements"]]) for content in (plain, other)]
+    weaker, same = sorted(bending[1] / bending[0])
+    assert weaker < 0.8 and same == pytest.approx(1.0)
 
 
 @needs_exudyn
