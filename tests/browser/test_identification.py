@@ -20,8 +20,8 @@ def identified(tmp_path, monkeypatch):
     """A function that writes the results of these tables, and returns the folder."""
     monkeypatch.setattr(study_problem, "build_problem", build)
 
-    def write(tables, force=0.0):
-        measure(tmp_path / "measured.csv", force=force)
+    def write(tables, measuring=measure, **settings):
+        measuring(tmp_path / "measured.csv", **settings)
         path = tmp_path / "study.toml"
         path.write_text(STUDY + tables, encoding="utf-8")
         report = report_on(load_study(path), "identification")
@@ -81,7 +81,7 @@ def test_what_signals_can_tell_is_shown_without_data(identified, open_page):
     assert page.complaints() == []
 
 
-def test_what_is_behind_a_misfit_is_shown(identified, open_page, tmp_path):
+def test_what_is_behind_a_misfit_is_shown(identified, open_page):
     text = TABLES.replace('offset = "1 N"', 'offset = "0 N"')
     out = identified(text, force=3.0)
     page = open_page(out / "report.html")
@@ -92,9 +92,8 @@ def test_what_is_behind_a_misfit_is_shown(identified, open_page, tmp_path):
     assert page.complaints() == []
 
 
-def test_the_errors_of_production_are_shown(identified, open_page, tmp_path):
-    measure_machines(tmp_path / "measured.csv")
-    out = identified(TABLES)
+def test_the_errors_of_production_are_shown(identified, open_page):
+    out = identified(TABLES, measure_machines)
     page = open_page(out / "report.html")
     task_tab(page, "Identification")
     assert page.text("#identification-status").startswith("Status ok: ")
