@@ -113,6 +113,13 @@ def test_a_tapered_link_is_what_its_stations_say():
     assert weaker < 0.8 and same == pytest.approx(1.0)
 
 
+def test_only_scripts_are_verified(tmp_path, capsys):
+    path = tmp_path / "mine.toml"
+    assert main(["init", str(path)]) == 0
+    assert main(["export", str(path), "--to", "mjcf", "--verify"]) == 2
+    assert "must be left out unless --to is exudyn" in capsys.readouterr().err
+
+
 @needs_exudyn
 @pytest.mark.slow
 @pytest.mark.parametrize("drive", [MomentRamp("A", 2.0, 0.05), PrescribedRate("A", 12.0)], ids=["moment", "rate"])
