@@ -24,6 +24,7 @@ from rfem_jax.description.basics.errors import InputError, subject
 from rfem_jax.description.basics.units import non_negative_quantity, positive_quantity, quantity, vector
 
 Number = float | Float[np.ndarray, ""] | Float[Array, ""]
+Numbers = float | Float[np.ndarray, "..."] | Float[Array, "..."]  # or one for each of several places
 POSITIVE, NOT_NEGATIVE, ANY = "positive", "not_negative", "any"
 SIGN_WORDS = {POSITIVE: "greater than 0", NOT_NEGATIVE: "at least 0"}
 READERS = {POSITIVE: positive_quantity, NOT_NEGATIVE: non_negative_quantity, ANY: quantity}
@@ -136,17 +137,17 @@ def array_of(values: Any) -> Float[np.ndarray, "*shape"] | Float[Array, "*shape"
     return jnp.asarray(values, jnp.float64)
 
 
-def larger(one: Number, other: Number) -> Number:
+def larger(one: Numbers, other: Numbers) -> Numbers:
     """The larger of two numbers."""
     return jnp.maximum(one, other) if traced((one, other)) else np.maximum(one, other)
 
 
-def smaller(one: Number, other: Number) -> Number:
+def smaller(one: Numbers, other: Numbers) -> Numbers:
     """The smaller of two numbers."""
     return jnp.minimum(one, other) if traced((one, other)) else np.minimum(one, other)
 
 
-def chosen(condition: bool | Bool[np.ndarray, ""] | Bool[Array, ""], one: Number, other: Number) -> Number:
+def chosen(condition: bool | Bool[np.ndarray, "..."] | Bool[Array, "..."], one: Numbers, other: Numbers) -> Numbers:
     """The first number where a condition holds, else the second one; of arrays, too."""
     if traced((condition, one, other)):
         return jnp.where(condition, one, other)

@@ -22,7 +22,7 @@ from rfem_jax.description.basics.numbers import (
     NOT_NEGATIVE,
     POSITIVE,
     Fields,
-    Number,
+    Numbers,
     NumberTree,
     chosen,
     is_known,
@@ -39,7 +39,7 @@ ROUND_POINTS = 32  # at the edge of a round section: the largest stress is found
 
 # Stresses at a point of the edge per unit of axial force [1/m^2], of bending moment about y and z, and of torque
 # [1/m^3].
-EdgePoint = tuple[Number, Number, Number, Number]
+EdgePoint = tuple[Numbers, Numbers, Numbers, Numbers]
 
 
 @dataclass(frozen=True)
@@ -51,17 +51,17 @@ class SectionProperties:
     rho (I_y + I_z), rho I_y, rho I_z [kg m]; damping eta [s].
     """
 
-    axial: Number
-    shear_y: Number
-    shear_z: Number
-    torsion: Number
-    bending_y: Number
-    bending_z: Number
-    line_density: Number
-    rotary_x: Number
-    rotary_y: Number
-    rotary_z: Number
-    damping: Number
+    axial: Numbers
+    shear_y: Numbers
+    shear_z: Numbers
+    torsion: Numbers
+    bending_y: Numbers
+    bending_z: Numbers
+    line_density: Numbers
+    rotary_x: Numbers
+    rotary_y: Numbers
+    rotary_z: Numbers
+    damping: Numbers
 
 
 class _Shape(abc.ABC, NumberTree, ChecksItself):
@@ -74,38 +74,38 @@ class _Shape(abc.ABC, NumberTree, ChecksItself):
         _convert(checks, self.numbers)
 
     @property
-    def kappa(self) -> Number:
+    def kappa(self) -> Numbers:
         """Shear factor [1]."""
         return self.shear_factor
 
     @property
     @abc.abstractmethod
-    def area(self) -> Number:
+    def area(self) -> Numbers:
         """A [m^2]."""
 
     @property
     @abc.abstractmethod
-    def second_moment_y(self) -> Number:
+    def second_moment_y(self) -> Numbers:
         """I_y [m^4]."""
 
     @property
     @abc.abstractmethod
-    def second_moment_z(self) -> Number:
+    def second_moment_z(self) -> Numbers:
         """I_z [m^4]."""
 
     @property
     @abc.abstractmethod
-    def torsion_constant(self) -> Number:
+    def torsion_constant(self) -> Numbers:
         """J_t [m^4]."""
 
     @abc.abstractmethod
     def edge_stresses(self) -> tuple[EdgePoint, ...]:
         """Stresses at points of the edge per unit of axial force, bending moments about y and z, and torque."""
 
-    def _edge_point(self, y: Number, z: Number, by_torque: Number) -> EdgePoint:
+    def _edge_point(self, y: Numbers, z: Numbers, by_torque: Numbers) -> EdgePoint:
         return 1.0 / self.area, z / self.second_moment_y, -y / self.second_moment_z, by_torque
 
-    def _round_edge(self, radius: Number) -> tuple[EdgePoint, ...]:
+    def _round_edge(self, radius: Numbers) -> tuple[EdgePoint, ...]:
         angles = [2.0 * math.pi * n / ROUND_POINTS for n in range(ROUND_POINTS)]
         by_torque = radius / self.torsion_constant
         return tuple(self._edge_point(radius * math.sin(a), radius * math.cos(a), by_torque) for a in angles)
@@ -159,19 +159,19 @@ class Rectangle(_Shape):
     }
 
     @property
-    def area(self) -> Number:
+    def area(self) -> Numbers:
         return self.width * self.height
 
     @property
-    def second_moment_y(self) -> Number:
+    def second_moment_y(self) -> Numbers:
         return self.width * self.height**3 / 12.0
 
     @property
-    def second_moment_z(self) -> Number:
+    def second_moment_z(self) -> Numbers:
         return self.height * self.width**3 / 12.0
 
     @property
-    def torsion_constant(self) -> Number:
+    def torsion_constant(self) -> Numbers:
         """J_t = a c^3 (1/3 - 0.21 (c/a) (1 - c^4 / (12 a^4))), a >= c [m^4].
 
         Against the exact series: 0.2 % for a square and for a >= 1.5 c, 0.5 % in between (at
@@ -217,7 +217,7 @@ class Circle(_Shape):
     numbers: ClassVar[Fields] = {"diameter": ("length", POSITIVE), "shear_factor": ("none", POSITIVE)}
 
     @property
-    def area(self) -> Number:
+    def area(self) -> Numbers:
         return math.pi * self.diameter**2 / 4.0
 
     def edge_stresses(self) -> tuple[EdgePoint, ...]:
@@ -225,15 +225,15 @@ class Circle(_Shape):
         return self._round_edge(self.diameter / 2.0)
 
     @property
-    def second_moment_y(self) -> Number:
+    def second_moment_y(self) -> Numbers:
         return math.pi * self.diameter**4 / 64.0
 
     @property
-    def second_moment_z(self) -> Number:
+    def second_moment_z(self) -> Numbers:
         return self.second_moment_y
 
     @property
-    def torsion_constant(self) -> Number:
+    def torsion_constant(self) -> Numbers:
         return 2.0 * self.second_moment_y
 
 
@@ -277,17 +277,17 @@ class Tube(_Shape):
             )
 
     @property
-    def derived_factor(self) -> Number:
+    def derived_factor(self) -> Numbers:
         """Cowper's shear factor [1]."""
         square = (self.inner_diameter / self.outer_diameter) ** 2
         return 7.0 / 6.0 + (10.0 / 3.0) * square / (1.0 + square) ** 2
 
     @property
-    def kappa(self) -> Number:
+    def kappa(self) -> Numbers:
         return self.derived_factor if self.shear_factor is None else self.shear_factor
 
     @property
-    def inner_diameter(self) -> Number:
+    def inner_diameter(self) -> Numbers:
         return self.outer_diameter - 2.0 * self.wall
 
     def edge_stresses(self) -> tuple[EdgePoint, ...]:
@@ -295,19 +295,19 @@ class Tube(_Shape):
         return self._round_edge(self.outer_diameter / 2.0)
 
     @property
-    def area(self) -> Number:
+    def area(self) -> Numbers:
         return math.pi * self.wall * (self.outer_diameter - self.wall)
 
     @property
-    def second_moment_y(self) -> Number:
+    def second_moment_y(self) -> Numbers:
         return self.area * (self.outer_diameter**2 + self.inner_diameter**2) / 16.0
 
     @property
-    def second_moment_z(self) -> Number:
+    def second_moment_z(self) -> Numbers:
         return self.second_moment_y
 
     @property
-    def torsion_constant(self) -> Number:
+    def torsion_constant(self) -> Numbers:
         return 2.0 * self.second_moment_y
 
 
