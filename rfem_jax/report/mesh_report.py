@@ -16,7 +16,7 @@ from rfem_jax.simulation import Simulation
 from rfem_jax.simulation.stability import largest_stable_step
 from rfem_jax.tolerancing.problems.simulated_problem import Problem
 from rfem_jax.tolerancing.problems.static_problem import StaticProblem
-from rfem_jax.tolerancing.refinement import Mesh, MeshConvergence, mesh_convergence
+from rfem_jax.tolerancing.refinement import Mesh, MeshConvergence, mesh_convergence, refined, rfes_of
 
 MARGIN = 0.9  # of the largest stable step
 FINEST = 4.0  # sdes of the finest mesh over those of the study, nearly always
@@ -50,14 +50,10 @@ def _with_step(study: Study) -> Study:
     model = model_of_study(study)
     method = Simulation.of(study, model=model).chosen
     if not method.implicit and method.step is not None:
-        finer = {name: round(FINEST * (n - 1)) + 1 for name, n in _flexible(model).items()}
-        limit = largest_stable_step(model_of_study(study, rfes=finer), method, study.designed_drive)
+        finest = model_of_study(study, rfes=refined(rfes_of(model), FINEST))
+        limit = largest_stable_step(finest, method, study.designed_drive)
         method = replace(method, step=min(method.step, MARGIN * limit))
     return replace(study, method=method)
-
-
-def _flexible(model) -> dict[str, int]:
-    return {name: n for name, n in zip(model.topology.links, model.topology.elements, strict=True) if n > 1}
 
 
 def convergence_text(found: MeshConvergence) -> str:

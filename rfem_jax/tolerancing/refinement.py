@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float
 
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.labelled_data import Arrays, Labelled, LabelledResult, Parts, Table
+from rfem_jax.mechanics.model.model import Model
 from rfem_jax.tolerancing.checks import ErrorValues
 from rfem_jax.tolerancing.problems.evaluation import describe_status, evaluate_points, read_point
 from rfem_jax.tolerancing.problems.problem import Metric
@@ -165,6 +166,12 @@ class MeshConvergence(LabelledResult):
         return said
 
 
+def rfes_of(model: Model) -> Mesh:
+    """Rfes of the flexible links of a model."""
+    topology = model.topology
+    return {name: n for name, n in zip(topology.links, topology.elements, strict=True) if n > 1}
+
+
 def refined(rfes: Mapping[str, int], refinement: float) -> Mesh:
     """Rfes of links whose numbers of sdes are multiplied."""
     return {name: max(1, round(refinement * (n - 1))) + 1 for name, n in rfes.items()}
@@ -199,8 +206,7 @@ def mesh_convergence(
     if not isinstance(accuracy, (int, float)) or not 0.0 < accuracy < 1.0:
         raise InputError(f"Argument `accuracy` must be a share between 0 and 1, but is {accuracy!r}; 0.01 is usual.")
     first = make(None)
-    topology = first.model.topology
-    rfes = {name: n for name, n in zip(topology.links, topology.elements, strict=True) if n > 1}
+    rfes = rfes_of(first.model)
     if not rfes:
         raise InputError(
             "Argument `make` must make problems with flexible links, but all links are rigid, and exact: there is "
@@ -216,9 +222,11 @@ def mesh_convergence(
         found = _concluded(first, rfes, refinements, values, cases, statuses, accuracy)
         if found.ok and not found.settled.all() and len(refinements) < MOST_MESHES:
             bar.total += len(cases)
-            refinements.append(2.0 * refinements[-1])
-            values.append(_evaluate(make, first, rfes, refinements[-1], cases, statuses, bar))
-            found = _concluded(first, rfes, refinements, values, cases, statuses, accuracy)
+            finer, of_finer = [*refinements, 2.0 * refinements[-1]], dict(statuses)
+            values.append(_evaluate(make, first, rfes, finer[-1], cases, of_finer, bar))
+            further = _concluded(first, rfes, finer, values, cases, of_finer, accuracy)
+            # A step that is too long for the finest mesh costs only what that would have told.
+            found = further if further.ok else found
     return found
 
 

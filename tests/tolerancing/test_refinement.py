@@ -13,6 +13,7 @@ from rfem_jax import (
     Point,
     PointForce,
     StaticProblem,
+    design,
     discretise,
     mesh_convergence,
 )
@@ -90,6 +91,22 @@ def test_a_case_that_fails_has_its_status():
     found = mesh_convergence(clamped, {"good": {}, "gone": {"beam.length": -0.9}}, progress=False)
     assert found.statuses == ("ok", "design_out_of_range") and not found.ok
     assert "Case gone has no values" in str(found) and found.rfes_for(0.01) == {"beam": 6}
+
+
+def test_a_finest_mesh_that_fails_is_left_out():
+    def make(rfes):
+        n = 5 if rfes is None else rfes["beam"]
+        jumping = {3: 1.0, 5: 1.1, 9: 0.9, 17: 1.2}[n]
+        metric = Metric("P.up", "m", function=lambda loads: jumping * loads.points["P"].position[-1, 2])
+        problem = clamped(rfes)
+        return StaticProblem(problem.model, [metric, "A.max_force"], design=pushed(problem.model, n))
+
+    def pushed(model, n):
+        return design(model, {"push.force.z": 3e-3 if n < 17 else 3e9})
+
+    found = mesh_convergence(make, progress=False)
+    assert found.ok and found.refinements == (0.5, 1.0, 2.0) and not found.settled.all()
+    assert "* The order is not yet 2" in str(found)
 
 
 def test_what_cannot_be_refined_is_refused():
