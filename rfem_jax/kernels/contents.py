@@ -13,6 +13,7 @@ import functools
 import hashlib
 from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import jax
 import numpy as np
@@ -21,7 +22,6 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal
 from rfem_jax.kernels import foreign_function, machine_code
 from rfem_jax.kernels.builder import Unsupported
 from rfem_jax.kernels.emission import CALLS, SAME, Emitter, called_program, expansion_of
-from rfem_jax.kernels.entries import shape_of
 from rfem_jax.kernels.loops import counts_of_scan
 
 # What decides about the operations, of primitives that have other settings besides.
@@ -31,6 +31,11 @@ SETTINGS = {
     "cond": ("branches",),
     "custom_linear_solve": ("const_lengths", "jaxprs"),
 }
+
+
+@functools.lru_cache(maxsize=4096)
+def _type_text(dtype: Any, shape: tuple[int, ...]) -> str:
+    return f"{dtype}{shape}"
 
 
 class NoDigest(Exception):
@@ -56,20 +61,24 @@ def _surroundings() -> str:
     return f"{sources.hexdigest()} {machine_code.processor()} {foreign_function.interface_version()}"
 
 
+# A derivative has the jaxprs of its kernel in it, and expansions come thousands of times: each is digested once.
+_digests: WeakKeyDictionary[Jaxpr, str] = WeakKeyDictionary()
+
+
 class _Contents:
-    """Digests of jaxprs, each made once."""
+    """Digests of jaxprs."""
 
     def __init__(self) -> None:
-        self.made: dict[int, tuple[Any, str]] = {}  # by identity, of what is kept alive
         self.expanding: set[str] = set()
 
     def of(self, program: ClosedJaxpr | Jaxpr) -> str:
-        if id(program) not in self.made:
-            self.made[id(program)] = program, self._digest(program)
-        return self.made[id(program)][1]
-
-    def _digest(self, program: ClosedJaxpr | Jaxpr) -> str:
         jaxpr = program.jaxpr if isinstance(program, ClosedJaxpr) else program
+        if jaxpr not in _digests:
+            _digests[jaxpr] = self._digest(jaxpr)
+        consts = getattr(program, "consts", ())
+        return f"{_digests[jaxpr]} {' '.join(map(self._text, consts))}" if consts else _digests[jaxpr]
+
+    def _digest(self, jaxpr: Jaxpr) -> str:
         numbers: dict[Any, int] = {}
 
         def name(variable) -> str:
@@ -78,11 +87,9 @@ class _Contents:
             return str(numbers.setdefault(variable, len(numbers)))
 
         def typed(variable) -> str:
-            like = shape_of(variable)
-            return f"{name(variable)}:{like.dtype}{like.shape}"
+            return f"{name(variable)}:{_type_text(variable.aval.dtype, variable.aval.shape)}"
 
         text = [typed(v) for v in (*jaxpr.constvars, *jaxpr.invars)]
-        text += [self._text(x) for x in getattr(program, "consts", ())]
         for equation in jaxpr.eqns:
             text += [self._operation(equation), *map(name, equation.invars), "->"]
             text += map(typed, equation.outvars)
