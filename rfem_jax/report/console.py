@@ -56,7 +56,7 @@ class Reading:
     ends = False
 
 
-def write(stream: TextIO, text: str) -> None:
+def write(stream: TextIO | io.TextIOBase, text: str) -> None:
     """Print and flush. Where that cannot be done (the reader is gone, the disk is full), nothing more is printed
     there."""
     try:
@@ -67,7 +67,7 @@ def write(stream: TextIO, text: str) -> None:
         discard(stream)
 
 
-def discard(stream: TextIO) -> None:
+def discard(stream: TextIO | io.TextIOBase) -> None:
     """Let what is written to a stream whose reader is gone, and what it still holds, go nowhere
     (https://docs.python.org/3/library/signal.html#note-on-sigpipe)."""
     with suppress(OSError, ValueError):  # a stream that is no file

@@ -9,6 +9,7 @@ Within `speaking(document=True)` standard output is for one JSON document alone:
 standard error; within `speaking(quiet=True)` there are neither remarks nor progress.
 """
 
+import io
 import os
 import sys
 from collections.abc import Iterator
@@ -79,7 +80,7 @@ def clear_lines() -> None:
 COLOURS = {"red": "31", "yellow": "33", "bold": "1"}
 
 
-def paint(text: str, colour: str, stream: TextIO) -> str:
+def paint(text: str, colour: str, stream: TextIO | io.TextIOBase) -> str:
     """Text in a colour where `stream` is a terminal, unless the environment has NO_COLOR (https://no-color.org) or
     TERM=dumb."""
     if not text or not stream.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":

@@ -26,7 +26,7 @@ from rfem_jax.mechanics.model.model import Model, Topology
 
 LARGEST_MOVE = 0.2  # rad, or share of the longest link, between two poses of which one is sought from the other
 DEAD_CENTRE = 1e-6  # share of the largest singular value of the loops' Jacobian: sine of the angle of a crank, about
-Positions = Mapping[str, ArrayLike | str | Sequence[str]]
+Positions = Mapping[str, ArrayLike | str | Sequence[float | str]]
 
 
 class ClosedPose(eqx.Module):

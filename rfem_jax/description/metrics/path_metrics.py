@@ -133,7 +133,7 @@ def _of_instant(run: Any, owner: str, values: Callable[[Any], tuple[Array, Array
     return jnp.where(at.there, _cubic(at, found, rates), jnp.nan)
 
 
-def _place(path: Any) -> tuple[Array, Array]:
+def _place(path: Any) -> tuple[Any, Any]:
     return path.position, path.velocity
 
 

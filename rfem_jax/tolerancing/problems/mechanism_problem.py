@@ -21,13 +21,14 @@ from rfem_jax.description.metrics.subjects import (
     points_of,
     require_metric,
 )
+from rfem_jax.description.parameters.parameters import Parameter
 from rfem_jax.description.tolerances.error_catalogue import error_unit
 from rfem_jax.mechanics.model.errors import AssemblyErrors
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.named_points import following, named_points_of
 from rfem_jax.mechanics.model.planar_loops import opening, require_closable
 from rfem_jax.mechanics.model.status import STATUS
-from rfem_jax.mechanics.statics.designs import Design, NamedValue, parameters
+from rfem_jax.mechanics.statics.designs import Design, parameters
 from rfem_jax.tolerancing.checks import check_known
 from rfem_jax.tolerancing.problems.metrics import metric
 from rfem_jax.tolerancing.problems.problem import Metric
@@ -65,8 +66,9 @@ class MechanismProblem(eqx.Module):
         return (*errors, *(name for name in named if name not in errors), *self.drive_numbers)
 
     @property
-    def _parameters(self) -> dict[str, NamedValue]:
-        return {} if self.model.source is None else parameters(self.model)
+    def _parameters(self) -> dict[str, Parameter]:
+        source = self.model.source
+        return {} if source is None else {one.name: one for one in source.blueprint.names.all}
 
     @property
     def drive_numbers(self) -> dict[str, Array | float]:
@@ -88,9 +90,9 @@ class MechanismProblem(eqx.Module):
         Raises InputError for an unknown name.
         """
         check_known((name,), self.error_names, "name")
-        known = self._parameters.get(name)
-        if known is None:
+        if name not in self._parameters:
             return float(self.drive_numbers.get(name, 0.0))
+        known = parameters(self.model)[name]
         set_to = {} if self.design is None else self.design.values
         return float(set_to.get(known.full, known.value))
 
