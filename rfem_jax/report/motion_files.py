@@ -3,7 +3,7 @@
 Place in the pipeline: the runs, and the records that the page has of them -> **motion_files** -> `exchange` -> files.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ def write_motions(
     folder: Path,
     runs: Mapping[str, Run],
     records: tuple[dict[str, Any], list[dict[str, np.ndarray]]],
-    formats: list[str],
+    formats: Sequence[str],
 ) -> list[Path]:
     """Write the motion of every case in the formats (of FORMATS): `motion_CASE.gltf`; `motion_CASE.pvd` with a folder
     `motion_CASE` of one file for each instant. `records`: what `record_animation` returned for these runs. Returns the
@@ -67,7 +67,6 @@ def _scenes(
         shown = jax.tree.map(lambda x, rows=rows: np.asarray(x)[rows], run.motion.positions)
         parts = parts_of(run.model.topology, trace_bodies(run.model, run.errors, shown))
         loads = {
-            joint: tuple(np.asarray(one)[rows] for one in (load.force, load.moment))
-            for joint, load in run.loads.items()
+            joint: (np.asarray(load.force)[rows], np.asarray(load.moment)[rows]) for joint, load in run.loads.items()
         }
         yield scene_of(name, description, arrays, parts, loads)
