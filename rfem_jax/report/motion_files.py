@@ -14,7 +14,7 @@ from rfem_jax.exchange.gltf_writer import gltf_text
 from rfem_jax.exchange.scene import Scene, parts_of, scene_of
 from rfem_jax.exchange.vtk_writer import collection_text, poly_data_texts
 from rfem_jax.report.annotations import Run
-from rfem_jax.whole_files import replacing
+from rfem_jax.whole_files import write_text
 
 FORMATS = ("vtp", "gltf")
 
@@ -32,7 +32,7 @@ def write_motions(
     for scene in _scenes(runs, *records):
         name = f"motion_{scene.title}"
         if "gltf" in formats:
-            written.append(_write(folder / f"{name}.gltf", gltf_text(scene)))
+            written.append(write_text(folder / f"{name}.gltf", gltf_text(scene)))
         if "vtp" in formats:
             written.append(_write_series(folder, name, scene))
     return written
@@ -43,17 +43,11 @@ def _write_series(folder: Path, name: str, scene: Scene) -> Path:
     inner.mkdir(exist_ok=True)
     files = [f"{number:04d}.vtp" for number in range(len(scene.times))]
     for file, text in zip(files, poly_data_texts(scene), strict=True):
-        _write(inner / file, text)
+        write_text(inner / file, text)
     for left in inner.glob("[0-9][0-9][0-9][0-9].vtp"):  # of a longer motion before
         if left.name not in files:
             left.unlink()
-    return _write(folder / f"{name}.pvd", collection_text(scene, (f"{name}/{file}" for file in files)))
-
-
-def _write(path: Path, text: str) -> Path:
-    with replacing(path) as temporary, open(temporary, "w", encoding="utf-8", newline="\n") as file:
-        file.write(text)
-    return path
+    return write_text(folder / f"{name}.pvd", collection_text(scene, (f"{name}/{file}" for file in files)))
 
 
 def _scenes(
