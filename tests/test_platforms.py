@@ -30,35 +30,10 @@ NOT_IN_OS = (
 KNOWS = {"compilation/cache.py", "compilation/keeping.py", "usable_cores.py"}
 
 
-def calls(tree, *names):
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Call):
-            called = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
-            if called in names:
-                yield called, node
-
-
 @pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_source(path):
-    """Texts are UTF-8 and have the same bytes everywhere, not those of the system's code page; what only POSIX has is
-    neither imported by a module nor asked for outside of those that know."""
+    """What only POSIX has is neither imported by a module nor asked for outside of those that know."""
     tree, name = ast.parse(path.read_text(encoding="utf-8")), str(path.relative_to(ROOT / "rfem_jax").as_posix())
-    for called, node in calls(tree, "open", "read_text", "write_text"):
-        words = {word.arg for word in node.keywords}
-        of_module = isinstance(node.func, ast.Attribute) and getattr(node.func.value, "id", "") in (
-            "os",
-            "webbrowser",
-            "Image",
-        )
-        own = called == "write_text" and isinstance(node.func, ast.Name)
-        if of_module or own:
-            continue
-        mode = next((str(one.value) for one in node.args[1:2] if isinstance(one, ast.Constant)), "r")
-        if called == "open" and "b" in mode:
-            continue
-        assert "encoding" in words, f"{name}:{node.lineno}"
-        if called == "write_text" or (called == "open" and set(mode) & set("wxa") and "closefd" not in words):
-            assert "newline" in words, f"{name}:{node.lineno}"
     for node in tree.body:
         imported = [one.name for one in node.names] if isinstance(node, ast.Import) else [getattr(node, "module", "")]
         assert not set(imported) & set(OF_POSIX), f"{name}: {imported}"
