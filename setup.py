@@ -8,8 +8,6 @@ import re
 import tomllib
 from pathlib import Path
 
-from setuptools import setup
-
 HERE = Path(__file__).parent
 LINK = re.compile(r"(!?)\[([^\]]*)\]\((?!https?://|mailto:|#)([^)\s]+)\)")
 
@@ -32,6 +30,8 @@ def for_the_index(text: str, repository: str | None) -> str:
 
 
 if __name__ == "__main__":
+    from setuptools import setup  # which tests of the links do without
+
     urls = tomllib.loads((HERE / "pyproject.toml").read_text(encoding="utf-8"))["project"].get("urls", {})
     setup(
         long_description=for_the_index((HERE / "README.md").read_text(encoding="utf-8"), urls.get("Repository")),

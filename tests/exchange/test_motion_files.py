@@ -75,6 +75,8 @@ def test_points_loads_and_names_of_an_instant(moved):
     offsets = [one for one in root.iter("DataArray") if one.get("Name") == "offsets"]
     counts = [link["points"] for link in description["links"]]
     assert [one.text.split() for one in offsets] == [list("1234"), [str(n) for n in np.cumsum(counts)]]
+    through = [one.text.split() for one in root.iter("DataArray") if one.get("Name") == "connectivity"]
+    assert [int(word) for word in (*through[0], *through[1])] == list(range(joints + points))
     in_global = runs["askew"].loads_in("global")
     for j, name in enumerate(names):
         np.testing.assert_allclose(found["force_N"][j], np.asarray(in_global[name].force)[t], atol=1e-9)
