@@ -124,7 +124,6 @@ def held(monkeypatch, times):
         real(source, target)
 
     monkeypatch.setattr(whole_files, "HELD_WHILE_OPEN", True)
-    monkeypatch.setattr(folders, "HELD_WHILE_OPEN", True)
     monkeypatch.setattr(whole_files.os, "replace", replace)
     monkeypatch.setattr(whole_files.time, "sleep", pauses.append)
     return pauses

@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from rfem_jax.report.console import work_begins
-from rfem_jax.whole_files import HELD_WHILE_OPEN, write_text
 
 FIX = "choose another one or free some space"
 
@@ -56,6 +55,7 @@ def writing_into(folder: str | Path) -> Iterator[None]:
 def cannot_write(folder: str | Path, problem: OSError) -> ValueError:
     """The InputError for a folder into which the results cannot be written."""
     from rfem_jax.description.basics.errors import InputError
+    from rfem_jax.whole_files import HELD_WHILE_OPEN
 
     held = HELD_WHILE_OPEN and isinstance(problem, PermissionError)
     fix = "close programs that have its files open, or choose another one" if held else FIX
@@ -83,6 +83,7 @@ def write_new(path: Path, text: str, argument: str) -> None:
 def write_study(path: Path, text: str, argument: str) -> Path:
     """Write a new study file, and beside it the schema, whose path is returned. Raises InputError."""
     from rfem_jax.description.study_file.schema import FILE, schema_text
+    from rfem_jax.whole_files import write_text
 
     write_new(path, text, argument)
     schema = path.with_name(FILE)
