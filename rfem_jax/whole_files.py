@@ -11,6 +11,7 @@ import os
 import platform
 import re
 import secrets
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,6 +21,9 @@ import numpy as np
 
 UNFINISHED = ".tmp"
 PATIENCE = 3600.0  # s after which a file that nobody finished is nobody's
+# Where a file that a program has open cannot be replaced: scanners and indexes let go of new files soon.
+HELD_WHILE_OPEN = sys.platform == "win32"
+PAUSES = (0.05, 0.1, 0.2, 0.4, 0.8)  # s
 
 
 @contextmanager
@@ -29,9 +33,27 @@ def replacing(path: str | Path) -> Iterator[Path]:
     temporary = path.with_name(f"{path.name}.{_machine()}-{os.getpid()}-{secrets.token_hex(4)}{UNFINISHED}")
     try:
         yield temporary
-        os.replace(temporary, path)
+        _rename(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _rename(temporary: Path, path: Path) -> None:
+    for pause in PAUSES if HELD_WHILE_OPEN else ():
+        try:
+            os.replace(temporary, path)
+            return
+        except PermissionError:
+            time.sleep(pause)
+    os.replace(temporary, path)
+
+
+def write_text(path: str | Path, text: str) -> Path:
+    """Write a text whole or not at all, with the same bytes on all systems: UTF-8, lines that end with one character.
+    Returns the path."""
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8", newline="\n")
+    return Path(path)
 
 
 def write_whole(path: Path, payload: bytes) -> None:

@@ -4,7 +4,7 @@ rigid_frames      rotations and frames in NumPy
 layout            a mechanism of rigid bodies as other programs know it: where everything is, and what joins it
 laying            link frames, joint frames and a tree where a file has none of ours
 files             a file of another program as a layout, whatever its format; what all readers share
-frame_table, urdf, sdf, mjcf_reader  readers
+frame_table, fcstd, urdf, sdf, mjcf_reader  readers
 study_writer      a layout as a commented study file
 study_layout      a study, with the errors of one of its cases, as a layout
 frame_table, urdf_writer, mjcf_writer  writers

@@ -6,15 +6,15 @@ Place in the pipeline: frame_table and the readers of XML -> **files** -> study_
 from pathlib import Path
 
 from rfem_jax.description.basics.errors import InputError, located
+from rfem_jax.exchange.fcstd import SIGNATURE, read_fcstd
 from rfem_jax.exchange.frame_table import read_table
 from rfem_jax.exchange.laying import finished
 from rfem_jax.exchange.layout import Layout
 from rfem_jax.exchange.mjcf_reader import read_mjcf
 from rfem_jax.exchange.sdf import read_sdf
 from rfem_jax.exchange.urdf import read_urdf
-from rfem_jax.exchange.xml_trees import read_tree
+from rfem_jax.exchange.xml_trees import LARGEST, read_tree
 
-LARGEST = 50_000_000  # bytes
 FORMATS = {"robot": "URDF", "mujoco": "MJCF", "sdf": "SDF"}  # by the first tag
 
 
@@ -23,7 +23,11 @@ def read_layout(path: Path) -> tuple[Layout, str]:
 
     **Raises:** `InputError` for a file that cannot be read or whose mechanism cannot become a study.
     """
-    text = _text(path)
+    content = _content(path)
+    with located(f"File `{path}`"):
+        if content.startswith(SIGNATURE):
+            return finished(read_fcstd(content, path.stem)), "FreeCAD"
+    text = _text(path, content)
     with located(f"File `{path}`"):
         if not text.lstrip().startswith("<"):
             return finished(read_table(text, path.stem)), "a table of frames"
@@ -37,7 +41,7 @@ def read_layout(path: Path) -> tuple[Layout, str]:
         return finished(read(root, path.stem)), FORMATS[root.tag]
 
 
-def _text(path: Path) -> str:
+def _content(path: Path) -> bytes:
     try:
         content = path.read_bytes()
     except FileNotFoundError:
@@ -47,6 +51,10 @@ def _text(path: Path) -> str:
         raise InputError(f"Argument `FILE` must be a file that can be read, but `{path}` cannot ({reason}).") from None
     if len(content) > LARGEST:
         raise InputError(f"Argument `FILE` must be a file below {LARGEST / 1e6:g} MB, but `{path}` is larger.")
+    return content
+
+
+def _text(path: Path, content: bytes) -> str:
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as problem:

@@ -64,7 +64,8 @@ def table_text(layout: Layout, source: str) -> tuple[str, tuple[str, ...]]:
 def _left_out(layout: Layout) -> list[str]:
     springs = [joint.name for joint in layout.joints if joint.springs]
     found = [f"The springs in {', '.join(springs)}."] if springs else []
-    return found + [f"The spring {one.name} between points." for one in layout.pulls]
+    found += [f"The spring {one.name} between points." for one in layout.pulls]
+    return found + [f"The coupling {one.name}." for one in layout.ratios]
 
 
 def _named(pattern: str, values: Float[np.ndarray, "3"]) -> dict[str, str]:

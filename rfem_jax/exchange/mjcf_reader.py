@@ -290,7 +290,7 @@ def _ends(source: _Source, e: int) -> _Ends | None:
 def _ratios(source: _Source) -> tuple[Ratio, ...]:
     """Linear constraints between two joints."""
     model, module, found = source.model, source.module, []
-    single = (module.mjtJoint.mjJNT_HINGE, module.mjtJoint.mjJNT_SLIDE)
+    single = int(module.mjtJoint.mjJNT_HINGE), int(module.mjtJoint.mjJNT_SLIDE)
     for e in range(model.neq):
         if model.eq_type[e] != module.mjtEq.mjEQ_JOINT:
             continue

@@ -24,7 +24,7 @@ _STEP = "0.0002"  # s
 
 def mjcf_text(layout: Layout, source: str) -> tuple[str, tuple[str, ...]]:
     """The file, and sentences on what it does not hold. Raises InputError for joints that MJCF cannot have."""
-    left = (*layout.remarks, *_left_out(layout))
+    left = (*layout.remarks, *left_out(layout))
     root = Xml.Element("mujoco", model=layout.title)
     for sentence in (f"{source}; SI units, radians", *(f"not in this file: {one}" for one in left)):
         root.append(Xml.Comment(f" {sentence.replace('--', '- -')} "))
@@ -58,7 +58,7 @@ def mjcf_text(layout: Layout, source: str) -> tuple[str, tuple[str, ...]]:
     return Xml.tostring(root, encoding="unicode") + "\n", left
 
 
-def _left_out(layout: Layout) -> list[str]:
+def left_out(layout: Layout) -> list[str]:
     found = [f"The preload of the damper {one.name}." for one in layout.pulls if one.preload and not one.stiffness]
     for joint in layout.joints:
         if joint.kind in ("spherical", "free") and joint.springs:

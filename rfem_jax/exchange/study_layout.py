@@ -19,7 +19,7 @@ from rfem_jax.description.mechanism.links import GRADIENTS
 from rfem_jax.description.mechanism.mechanism import EQUILIBRIUM, Mechanism
 from rfem_jax.description.mechanism.point_forces import PointSpring
 from rfem_jax.description.study_file.study import Study
-from rfem_jax.exchange.layout import Along, Body, Connection, Layout, Pull
+from rfem_jax.exchange.layout import Along, Body, Connection, Layout, Pull, Ratio
 from rfem_jax.exchange.rigid_frames import Frame, angles_of, rotation_of_quaternion
 from rfem_jax.mechanics.model.errors import assembly_errors
 from rfem_jax.mechanics.model.model import Model
@@ -81,12 +81,20 @@ def with_rigid_links(mechanism: Mechanism) -> tuple[Mechanism, list[str]]:
     kept, left = [], []
     for force in mechanism.forces:
         (kept if isinstance(force, JointSpring | PointSpring) else left).append(force)
+    remarks += [f"The {_words(force)} {force.name}" for force in left if not _is_ratio(force, mechanism)]
     # Ideal couplings close the start with the mechanism, as cut joints do.
-    remarks += [f"The {_words(force)} {force.name}" for force in left]
-    kept += [force for force in left if isinstance(force, Coupling) and force.stiffness is None]
+    kept += [force for force in left if isinstance(force, Coupling) and force.ideal]
     links = [replace(link, rigid=True, **dict.fromkeys(GRADIENTS)) for link in mechanism.links]
     joints = [replace(joint, compliance=None, clearance=None) for joint in mechanism.joints]
     return replace(mechanism, links=links, joints=joints, forces=kept), remarks
+
+
+def _is_ratio(force: Force, mechanism: Mechanism) -> bool:
+    """Whether a force is an ideal coupling by a ratio, of two joints with one motion each."""
+    if not isinstance(force, Coupling) or not force.ideal or force.positions is not None or force.eccentricity:
+        return False
+    kinds = [KINDS[mechanism.joint(name).kind] for name in force.joints]
+    return force.joints[0] != force.joints[1] and all(len(kind.freedoms) == 1 for kind in kinds)
 
 
 def _words(force: Force) -> str:
@@ -161,6 +169,7 @@ def _layout(
         joints=tuple(joints[joint.name] for joint in study.mechanism.joints),
         gravity=np.asarray(model.gravity),
         pulls=tuple(map(_pull, (one for one in study.mechanism.forces if isinstance(one, PointSpring)))),
+        ratios=_ratios(study.mechanism, {name: joint.start for name, joint in joints.items()}),
         framed=True,
     )
 
@@ -182,6 +191,20 @@ def _springs_of(mechanism: Mechanism) -> dict[str, tuple[Along, ...]]:
             numbers = (float(np.asarray(x)) for x in (force.stiffness, force.damping, force.rest, force.preload))
             found[force.joint] = (*found.get(force.joint, ()), Along(str(force.motion), *numbers))
     return found
+
+
+def _ratios(mechanism: Mechanism, starts: dict[str, tuple[float, ...]]) -> tuple[Ratio, ...]:
+    """Ideal couplings by a ratio; an offset that is left out is that of the start."""
+    found = []
+    for one in mechanism.forces:
+        if not isinstance(one, Coupling) or not _is_ratio(one, mechanism):
+            continue
+        ratio = float(np.asarray(one.ratio))
+        a, b = (starts[name][0] for name in one.joints)
+        shift = ratio * float(np.asarray(one.pitch_error))
+        offset = b - ratio * a if one.offset is None else float(np.asarray(one.offset)) + shift
+        found.append(Ratio(one.name, one.joints, ratio, offset))
+    return tuple(found)
 
 
 def _pull(one: PointSpring) -> Pull:

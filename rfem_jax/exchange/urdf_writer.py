@@ -38,12 +38,15 @@ def urdf_text(layout: Layout, source: str) -> tuple[str, tuple[str, ...]]:
         Xml.SubElement(inertial, "inertia", entries)
     for joint in layout.joints:
         if not joint.cut:
-            _joint(root, joint, frames[joint.parent].inverse().then(joint.seat))
+            element = _joint(root, joint, frames[joint.parent].inverse().then(joint.seat))
+            for one in [one for one in layout.ratios if one.joints[1] == joint.name][:1]:
+                numbers = {"multiplier": _text([one.ratio]), "offset": _text([one.offset])}
+                Xml.SubElement(element, "mimic", {"joint": one.joints[0], **numbers})
     Xml.indent(root)
     return Xml.tostring(root, encoding="unicode") + "\n", left
 
 
-def _joint(root: Xml.Element, joint: Connection, origin: Frame) -> None:
+def _joint(root: Xml.Element, joint: Connection, origin: Frame) -> Xml.Element:
     if joint.kind not in _TYPES:
         raise InputError(
             f"Joint `{joint.name}` must be of a kind that URDF knows ({', '.join(_TYPES)}), but is {joint.kind}; "
@@ -61,13 +64,17 @@ def _joint(root: Xml.Element, joint: Connection, origin: Frame) -> None:
     damping = sum(one.damping for one in joint.springs)
     if damping and joint.kind in ("revolute", "prismatic"):
         Xml.SubElement(element, "dynamics", damping=_text([damping]))
+    return element
 
 
 def _left_out(layout: Layout) -> list[str]:
     cut = [joint.name for joint in layout.joints if joint.cut]
     sprung = [joint.name for joint in layout.joints if any(one.stiffness or one.preload for one in joint.springs)]
     started = [joint.name for joint in layout.joints if any(joint.start)]
+    followers = [one.joints[1] for one in layout.ratios]
+    twice = [one.name for n, one in enumerate(layout.ratios) if one.joints[1] in followers[:n]]
     told = {
+        "The couplings of joints that follow another already": twice,
         "The joints that close loops, of which URDF knows none": cut,
         "The springs in joints": sprung,
         "The springs between points": [one.name for one in layout.pulls],

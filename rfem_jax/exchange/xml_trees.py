@@ -9,6 +9,7 @@ from xml.parsers import expat
 from rfem_jax.description.basics.errors import InputError
 
 DEEPEST = 200
+LARGEST = 50_000_000  # bytes of a file that is read
 
 
 def read_tree(text: str) -> Xml.Element:

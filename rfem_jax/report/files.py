@@ -221,9 +221,9 @@ def write_history(path: str | Path, study: Study, run: Run, axes: str = "joint")
     if axes != "joint":
         columns |= axes_columns(study, run.loads_in(axes), axes)
     table = np.stack(list(columns.values()), axis=1)
-    with replacing(path) as temporary:
-        header = ",".join(map(csv_cell, columns))
-        np.savetxt(temporary, table, fmt="%.12g", delimiter=",", header=header, comments="", encoding="utf-8")
+    header = ",".join(map(csv_cell, columns))
+    with replacing(path) as temporary, open(temporary, "w", encoding="utf-8", newline="\n") as file:
+        np.savetxt(file, table, fmt="%.12g", delimiter=",", header=header, comments="")
     return Path(path)
 
 

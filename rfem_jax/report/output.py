@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from rfem_jax.whole_files import replacing
+from rfem_jax.whole_files import write_text
 
 _PACKAGES = ("rfem_jax", "jax", "jaxlib", "diffrax", "equinox", "optimistix", "lineax", "numpy")
 
@@ -62,9 +62,7 @@ def versions() -> dict[str, str | None]:
 def write_json(path: str | Path, content: dict[str, Any]) -> Path:
     """Write `content` with the versions beside it."""
     text = json.dumps(without_nan({**content, "versions": versions()}), indent=2, allow_nan=False)
-    with replacing(path) as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
-    return Path(path)
+    return write_text(path, text + "\n")
 
 
 def write_csv(path: str | Path, rows: Sequence[Mapping[str, Any]]) -> Path:
@@ -75,9 +73,7 @@ def write_csv(path: str | Path, rows: Sequence[Mapping[str, Any]]) -> Path:
     writer.writerow([csv_cell(name) for name in names])
     for row in rows:
         writer.writerow([csv_cell(row[name]) for name in names])
-    with replacing(path) as temporary:
-        temporary.write_text(text.getvalue(), encoding="utf-8")
-    return Path(path)
+    return write_text(path, text.getvalue())
 
 
 def csv_cell(value: Any) -> Any:

@@ -82,8 +82,10 @@ COLOURS = {"red": "31", "yellow": "33", "bold": "1"}
 
 def paint(text: str, colour: str, stream: TextIO | io.TextIOBase) -> str:
     """Text in a colour where `stream` is a terminal, unless the environment has NO_COLOR (https://no-color.org) or
-    TERM=dumb."""
+    TERM=dumb, or the terminal is the old console of Windows, which shows the codes."""
     if not text or not stream.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
+        return text
+    if sys.platform == "win32" and not any(os.environ.get(name) for name in ("WT_SESSION", "TERM", "ANSICON")):
         return text
     return f"\033[{COLOURS[colour]}m{text}\033[0m"
 

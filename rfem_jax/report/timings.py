@@ -22,7 +22,7 @@ from rfem_jax.compilation import keeping, keys
 from rfem_jax.compilation.cache import user_cache_folder
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.tolerancing.problems.sharing import process_count
-from rfem_jax.whole_files import replacing
+from rfem_jax.whole_files import write_text
 
 MOST = 500  # entries; the oldest go
 UNKNOWN = (
@@ -99,8 +99,7 @@ def record(key: str | None, seconds: float, samples: int, compiled: bool) -> Non
     kept = dict(list(entries.items())[-MOST:])
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        with replacing(path) as temporary:
-            temporary.write_text(json.dumps(kept, indent=1), encoding="utf-8")
+        write_text(path, json.dumps(kept, indent=1))
     except OSError:
         return  # only an estimate is lost
 

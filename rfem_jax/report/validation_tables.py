@@ -12,7 +12,7 @@ from typing import Any
 from rfem_jax.report.output import write_csv, write_json
 from rfem_jax.report.tables import format_table
 from rfem_jax.validation.lines import FAIL, Line
-from rfem_jax.whole_files import replacing
+from rfem_jax.whole_files import write_text
 
 HEADER = ("checked", "ours", "reference", "difference", "allowed", "verdict", "source")
 
@@ -113,11 +113,8 @@ def write_validation(folder: str | Path, lines: list[Line], settings: dict[str, 
     """
     folder = Path(folder)
     rows = line_rows(lines)
-    written = [
+    return [
         write_json(folder / "validation.json", {**settings, "lines": rows}),
         write_csv(folder / "validation.csv", rows),
-        folder / "validation.md",
+        write_text(folder / "validation.md", markdown(lines)),
     ]
-    with replacing(written[2]) as temporary:
-        temporary.write_text(markdown(lines), encoding="utf-8")
-    return written

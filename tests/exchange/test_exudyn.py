@@ -116,8 +116,8 @@ def test_a_tapered_link_is_what_its_stations_say():
 def test_only_scripts_are_verified(tmp_path, capsys):
     path = tmp_path / "mine.toml"
     assert main(["init", str(path)]) == 0
-    assert main(["export", str(path), "--to", "mjcf", "--verify"]) == 2
-    assert "must be left out unless --to is exudyn" in capsys.readouterr().err
+    assert main(["export", str(path), "--to", "urdf", "--verify"]) == 2
+    assert "must be left out unless --to is exudyn or mjcf" in capsys.readouterr().err
 
 
 @needs_exudyn

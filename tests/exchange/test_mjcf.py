@@ -8,6 +8,7 @@ import pytest
 
 from rfem_jax import (
     Case,
+    Coupling,
     InputError,
     Joint,
     JointSpring,
@@ -21,11 +22,16 @@ from rfem_jax import (
     simulate,
 )
 from rfem_jax.description import Study
+from rfem_jax.exchange.exudyn_writer import exudyn_text
 from rfem_jax.exchange.files import read_layout
+from rfem_jax.exchange.frame_table import table_text
 from rfem_jax.exchange.layout import motion_frame
 from rfem_jax.exchange.mjcf_writer import mjcf_text
+from rfem_jax.exchange.mujoco_motion import ComparedMotion, compared, rigid_study
 from rfem_jax.exchange.study_layout import layout_of
 from rfem_jax.exchange.study_writer import study_text
+from rfem_jax.exchange.urdf_writer import urdf_text
+from rfem_jax.report.command_line import main
 
 from .machines import MACHINES, MOBILITY, bar, same_places, study
 
@@ -158,6 +164,89 @@ def test_loops_move_as_in_mujoco(name, joints, tmp_path):
     moved = np.abs(mine - began)
     assert moved.max() > 0.1
     np.testing.assert_allclose(other, mine, atol=2e-3 * moved.max())
+
+
+def geared():
+    """Two bars on parallel hinges with an ideal gear pair between them, the heavier one let go."""
+    joints = (
+        Joint("A", "base", "one", angle=0.3),
+        Joint("B", "base", "two", position=(0.4, 0.0, 0.0), angle=-0.8),
+    )
+    gear = Coupling("mesh", ("A", "B"), ratio=-2.0)
+    return Study(
+        "geared", Mechanism((bar("one", 0.2, 0.3), bar("two", 0.15, 0.05)), joints, forces=(gear,)), duration=1.0
+    )
+
+
+def test_an_ideal_coupling_is_in_the_files():
+    """With the offset of the start; one by a table or with a mesh that gives way is told."""
+    layout = layout_of(geared())
+    (ratio,) = layout.ratios
+    assert (ratio.name, ratio.joints, ratio.ratio) == ("mesh", ("A", "B"), -2.0) and layout.remarks == ()
+    assert ratio.offset == pytest.approx(-0.8 + 2.0 * 0.3)
+    root = Xml.fromstring(mjcf_text(layout, "a test")[0])
+    constraint = root.find("equality/joint[@name='mesh']")
+    assert (constraint.get("joint1"), constraint.get("joint2")) == ("B", "A")
+    assert [float(x) for x in constraint.get("polycoef").split()] == pytest.approx([0.0, -2.0, 0.0, 0.0, 0.0])
+    mimic = Xml.fromstring(urdf_text(layout, "a test")[0]).find("joint[@name='B']/mimic")
+    assert (mimic.get("joint"), float(mimic.get("multiplier"))) == ("A", -2.0)
+    assert float(mimic.get("offset")) == pytest.approx(ratio.offset)
+    assert "The coupling mesh." in table_text(layout, "a test")[1]
+    soft = replace(geared().mechanism, forces=(Coupling("mesh", ("A", "B"), ratio=-2.0, stiffness=5.0),))
+    assert layout_of(replace(geared(), mechanism=soft)).remarks == ("The coupling mesh.",)
+    with pytest.raises(InputError, match="forces other than springs, but the study has `mesh`"):
+        exudyn_text(geared(), None, "x")
+
+
+@needs_mujoco
+@pytest.mark.slow
+def test_a_coupling_makes_the_round_trip_and_moves_as_in_mujoco(tmp_path):
+    layout, path = written(geared(), tmp_path)
+    again, _ = read_layout(path)
+    (one,), (other,) = layout.ratios, again.ratios
+    assert (other.name, other.joints) == (one.name, one.joints)
+    assert (other.ratio, other.offset) == pytest.approx((one.ratio, one.offset))
+    rigid = replace(rigid_study(geared(), None, layout), method=RungeKutta4(step=5e-4))
+    found = compared(path.read_text(encoding="utf-8"), rigid, layout)
+    assert abs(found.ours["A"][-1] - 0.3) > 0.1 and found.largest() < 1e-3 < found.tolerance
+
+
+@needs_mujoco
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["double_wishbone", "stewart"])
+def test_spatial_loops_move_as_in_mujoco(name):
+    """Balls and hinges that are not parallel; the strut moves the wheel, gravity the platform."""
+    one = study(name)
+    layout = layout_of(one)
+    rigid = replace(rigid_study(one, None, layout), method=RungeKutta4(step=5e-4))
+    found = compared(mjcf_text(layout, "a test")[0], rigid, layout)
+    assert max(np.ptp(values) for values in found.ours.values()) > 1e-2
+    assert found.largest() < found.tolerance
+
+
+@needs_mujoco
+@pytest.mark.slow
+def test_the_command_verifies(tmp_path, capsys):
+    """Both motions side by side, and a verdict; a file that holds less than the study is not compared."""
+    path = tmp_path / "mine.toml"
+    assert main(["init", str(path), "--kind", "slider-crank"]) == 0
+    assert main(["export", str(path), "--to", "mjcf", "-o", str(tmp_path / "a.xml"), "--verify"]) == 0
+    said = capsys.readouterr().out
+    assert "Equal within 0.005 of the longest way" in said and "by MuJoCo" in said
+    case = ["--case", "guide_tilted", "-o", str(tmp_path / "b.xml")]
+    assert main(["export", str(path), "--to", "mjcf", "--verify", *case]) == 2
+    assert "loops stay open by" in capsys.readouterr().err
+
+
+def test_motions_that_differ_are_told():
+    """The largest difference over the longest way of its dimension."""
+    rows = {name: np.array(values) for name, values in {"A": [0.0, 1.0], "B": [0.0, 0.1], "S": [0.0, 0.01]}.items()}
+    theirs = {"A": rows["A"], "B": rows["B"] + 0.01, "S": rows["S"] + [0.0, 1e-3]}
+    units = {"A": "rad", "B": "rad", "S": "m"}
+    assert ComparedMotion(np.array([0.0, 1.0]), units, rows, theirs, 0.1).largest() == pytest.approx(0.1)
+    still = {"A": np.zeros(2)}
+    assert ComparedMotion(np.array([0.0, 1.0]), {"A": "rad"}, still, still, 0.1).largest() == 0.0
+    assert ComparedMotion(np.array([0.0, 1.0]), {"A": "rad"}, still, {"A": np.ones(2)}, 0.1).largest() == np.inf
 
 
 FOREIGN = """<mujoco model="crane"><compiler angle="degree"/><option gravity="0 0 -9.8"/>

@@ -15,6 +15,7 @@ from rfem_jax.exchange.study_writer import study_text
 from rfem_jax.exchange.urdf_writer import urdf_text
 
 from .machines import study
+from .test_fcstd import document_of, zipped
 from .test_mjcf import needs_mujoco
 from .test_sdf import FOREIGN as DOOR
 from .test_sdf import sdf_of
@@ -92,14 +93,18 @@ def texts():
         "foreign": FOREIGN,
         "sdf": DOOR,
         "loop": sdf_of(layout_of(study("four_bar"))),
+        "fcstd": document_of(layout_of(study("slider_crank"))),
         "mjcf": mjcf_text(layout_of(study("four_bar")), "a test")[0],
     }
 
 
-def outcome(text, folder):
+def outcome(name, text, folder):
     """None for a study, else the sentences that refuse."""
     path, toml = folder / "file.xml", folder / "study.toml"
-    path.write_text(text, encoding="utf-8")
+    if name == "fcstd":
+        zipped(path, text)
+    else:
+        path.write_text(text, encoding="utf-8")
     try:
         layout, kind = read_layout(path)
         toml.write_text(study_text(layout, kind, toml.name), encoding="utf-8")
@@ -111,7 +116,7 @@ def outcome(text, folder):
 
 def check(name, texts, folder, seeds):
     ways = (mutated,) if name == "csv" else (mutated, with_mutated_tree)
-    found = [outcome(way(texts[name], seed), folder) for seed in seeds for way in ways]
+    found = [outcome(name, way(texts[name], seed), folder) for seed in seeds for way in ways]
     refused = [one for one in found if one is not None]
     assert 0 < len(refused) < len(found)
     for problems in refused:
@@ -119,7 +124,7 @@ def check(name, texts, folder, seeds):
     return refused
 
 
-@pytest.mark.parametrize("name", ["csv", "urdf", "foreign", "sdf", "loop"])
+@pytest.mark.parametrize("name", ["csv", "urdf", "foreign", "sdf", "loop", "fcstd"])
 def test_a_study_or_one_sentence(name, texts, tmp_path):
     check(name, texts, tmp_path, range(40))
 
@@ -127,6 +132,21 @@ def test_a_study_or_one_sentence(name, texts, tmp_path):
 @needs_mujoco
 def test_mjcf(texts, tmp_path):
     check("mjcf", texts, tmp_path, range(70))
+
+
+def test_a_damaged_zip(texts, tmp_path):
+    """Bytes that are lost or changed, in the archive and in its directory."""
+    whole = zipped(tmp_path / "whole", texts["fcstd"]).read_bytes()
+    path = tmp_path / "file"
+    for seed in range(30):
+        chance, content = random.Random(seed), bytearray(whole)
+        for _ in range(chance.randint(1, 4)):
+            content[chance.randrange(4, len(content))] = chance.randrange(256)
+        path.write_bytes(content[: chance.randrange(10, len(content))] if seed % 3 == 0 else content)
+        try:
+            read_layout(path)
+        except InputError as error:
+            assert len(error.problems) == 1
 
 
 def test_neither_binary_nor_missing_nor_folders(tmp_path):

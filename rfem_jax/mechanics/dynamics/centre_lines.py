@@ -77,6 +77,34 @@ def _shape(actual: ModelWithErrors, position: Coordinates) -> Shape:
     return Shape(jnp.concatenate(_lines(actual, motion)), jnp.moveaxis(rotation, 2, 0), centre.T)
 
 
+class Bodies(NamedTuple):
+    """Where all rfes are, those at the origins of the links first, then link by link: rotations and origins [m] of
+    their frames. levers: x of the elements from the middles of the rfes on their left and right; middle: x of the
+    middle of the first rfe of every link, a whole rigid one or not [m]."""
+
+    rotation: Float[Array, "*t nodes 3 3"]
+    point: Float[Array, "*t nodes 3"]
+    levers: Float[Array, "2 rfes"]
+    middle: Float[Array, " links"]
+
+
+@functools.partial(Program, nameless=True)
+def trace_bodies(model: Model, errors: AssemblyErrors, positions: Coordinates) -> Bodies:
+    """The rfes of a mechanism with its errors at many positions, whose arrays have a first axis of times."""
+    actual = apply_errors(model, errors)
+    rotation, point = jax.vmap(lambda position: _body_frames(actual, position))(positions)
+    levers = jnp.stack([actual.lever_left, actual.lever_right])
+    return Bodies(jnp.moveaxis(rotation, 3, 1), jnp.moveaxis(point, 2, 1), levers, actual.beam_middle)
+
+
+@kernel
+def _body_frames(
+    actual: ModelWithErrors, position: Coordinates
+) -> tuple[Float[Array, "3 3 nodes"], Float[Array, "3 nodes"]]:
+    topology = actual.topology
+    return all_frames(topology, motion_of(actual, loads.static_state(topology, position)))
+
+
 def link_ends(actual: ModelWithErrors, motion: Motion) -> tuple[Float[Array, "3 links"], Float[Array, "3 3 links"]]:
     """Where the far ends of all links are [m], and the rotations of the rfes that hold them, in global axes."""
     topology = actual.topology

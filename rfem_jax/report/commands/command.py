@@ -81,6 +81,18 @@ def add_axes(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_motion(parser: argparse.ArgumentParser) -> None:
+    """Files of the motion for other programs."""
+    parser.add_argument(
+        "--motion",
+        nargs="+",
+        choices=("vtp", "gltf"),
+        default=[],
+        help="write the motion of every case for other programs, too: vtp for ParaView, with the loads in the joints; "
+        "gltf for Blender and viewers in browsers",
+    )
+
+
 def add_study_and_folder(parser: argparse.ArgumentParser) -> None:
     """The study file, the folder for the results, devices, and whether programs are kept."""
     add_study(parser)

@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from rfem_jax.report.annotations import Cycle, Study
-from rfem_jax.report.commands.command import Answer, Command, add_axes, add_study_and_folder
+from rfem_jax.report.commands.command import Answer, Command, add_axes, add_motion, add_study_and_folder
 from rfem_jax.report.commands.folders import open_folder, require_folder, writing_into
 from rfem_jax.report.commands.run import write_run_animation, write_run_pictures
 from rfem_jax.report.commands.steps import (
@@ -40,6 +40,7 @@ def command() -> Command:
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
     add_study_and_folder(parser)
     add_axes(parser)
+    add_motion(parser)
     parser.add_argument("--tolerance", metavar="X", type=float, default=1e-6, help="of the motion (default: 1e-6)")
     parser.add_argument("--most", metavar="N", type=int, default=200, help="revolutions at most (default: 200)")
 
@@ -69,7 +70,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     with writing_into(folder):
         written = write_files(folder, study, runs, summaries, axes=arguments.axes)
         written += write_run_pictures(folder, study, runs, summaries)
-        written += write_run_animation(folder, runs)
+        written += write_run_animation(folder, runs, arguments.motion)
         written.append(write_analysis(folder / "cycle.json", study, "cycle", {"cases": _convergence(cycles)}))
     good = all(cycle.converged for cycle in cycles.values())
     good = good and all(one["status"] == "ok" for one in summaries.values())

@@ -11,6 +11,8 @@ from pathlib import Path
 
 from rfem_jax.report.console import work_begins
 
+FIX = "choose another one or free some space"
+
 
 def require_folder(out: str | Path) -> None:
     """See that a folder for the results can be made, without making it. Raises InputError."""
@@ -53,10 +55,13 @@ def writing_into(folder: str | Path) -> Iterator[None]:
 def cannot_write(folder: str | Path, problem: OSError) -> ValueError:
     """The InputError for a folder into which the results cannot be written."""
     from rfem_jax.description.basics.errors import InputError
+    from rfem_jax.whole_files import HELD_WHILE_OPEN
 
+    held = HELD_WHILE_OPEN and isinstance(problem, PermissionError)
+    fix = "close programs that have its files open, or choose another one" if held else FIX
     return InputError(
         f"Argument `--out` must be a folder that can be written, but {folder} is not "
-        f"({problem.strerror or problem}); choose another one or free some space."
+        f"({problem.strerror or problem}); {fix}."
     )
 
 
@@ -65,7 +70,7 @@ def write_new(path: Path, text: str, argument: str) -> None:
     from rfem_jax.description.basics.errors import InputError
 
     try:
-        with open(path, "x", encoding="utf-8") as file:
+        with open(path, "x", encoding="utf-8", newline="\n") as file:
             file.write(text)
     except FileExistsError:
         raise InputError(
@@ -78,11 +83,12 @@ def write_new(path: Path, text: str, argument: str) -> None:
 def write_study(path: Path, text: str, argument: str) -> Path:
     """Write a new study file, and beside it the schema, whose path is returned. Raises InputError."""
     from rfem_jax.description.study_file.schema import FILE, schema_text
+    from rfem_jax.whole_files import write_text
 
     write_new(path, text, argument)
     schema = path.with_name(FILE)
     try:
-        schema.write_text(schema_text(), encoding="utf-8")
+        write_text(schema, schema_text())
     except OSError as problem:
         raise _unwritable(path, argument, problem) from problem
     return schema

@@ -17,7 +17,7 @@ def command() -> Command:
         name="import",
         purpose="make a study of a file of another program",
         description="Write a study with comments from a file in MJCF (read by the package mujoco), in URDF, in SDF, "
-        "or from a table of frames (CSV). "
+        "from an assembly of FreeCAD 1.0 or later (.FCStd), or from a table of frames (CSV). "
         "What cannot be taken over is listed, here and in the study. A file that exists is not overwritten.",
         add_arguments=_add_arguments,
         act=act,

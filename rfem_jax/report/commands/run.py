@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from rfem_jax.report.annotations import Run, Study, Summaries
-from rfem_jax.report.commands.command import Answer, Command, Interrupted, add_axes, add_study_and_folder
+from rfem_jax.report.commands.command import Answer, Command, Interrupted, add_axes, add_motion, add_study_and_folder
 from rfem_jax.report.commands.folders import open_folder, require_folder, writing_into
 from rfem_jax.report.commands.steps import (
     announce,
@@ -50,6 +50,7 @@ def command() -> Command:
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
     add_study_and_folder(parser)
     add_axes(parser)
+    add_motion(parser)
 
 
 def act(arguments: argparse.Namespace) -> Answer:
@@ -84,7 +85,7 @@ def act(arguments: argparse.Namespace) -> Answer:
         with writing_into(folder):
             written += write_files(folder, study, runs, summaries, start, arguments.axes)
             written += write_run_pictures(folder, study, runs, summaries)
-            written += write_run_animation(folder, runs)
+            written += write_run_animation(folder, runs, arguments.motion)
     except KeyboardInterrupt:
         sentence = f"the cases are done; of their files these are in {folder}: {_names(written)}. {_go_on(arguments)}"
         raise Interrupted(sentence, files_document(folder, written)) from None
@@ -176,9 +177,17 @@ def write_run_pictures(folder: Path, study: Study, runs: dict[str, Run], summari
     return drawn(write)
 
 
-def write_run_animation(folder: Path, runs: dict[str, Run]) -> list[Path]:
-    """Write where the mechanism is, for the page."""
-    from rfem_jax.report.page.animation import write_animation
+def write_run_animation(folder: Path, runs: dict[str, Run], formats: Sequence[str] = ()) -> list[Path]:
+    """Write where the mechanism is, for the page, and in the formats of other programs (`report.motion_files`)."""
+    from rfem_jax.report.page.animation import record_animation, write_arrays
 
     announce("Tracing where the mechanism is")
-    return write_animation(folder, runs)
+    records = record_animation(runs)
+    if records is None:
+        return []
+    written = [write_arrays(folder, *records)]
+    if formats:
+        from rfem_jax.report.motion_files import write_motions
+
+        written += write_motions(folder, runs, records, formats)
+    return written

@@ -107,14 +107,6 @@ def _arrays(run: Run, most: int, description: dict[str, Any]) -> Arrays:
     return found | acting_arrays(run, description["forces"], rows)
 
 
-def write_animation(folder: str | Path, runs: Mapping[str, Run]) -> list[Path]:
-    """Write `animation.npz`; returns its path, or nothing where the runs do not say where the mechanism is."""
-    recorded = record_animation(runs)
-    if recorded is None:
-        return []
-    return [write_arrays(folder, *recorded)]
-
-
 def write_arrays(folder: str | Path, description: dict[str, Any], cases: list[Arrays]) -> Path:
     """Write what `record_animation` returns; deviations of micrometres beside places of metres need doubles."""
     arrays = {f"{i}_{part}": values for i, case in enumerate(cases) for part, values in case.items()}
@@ -125,7 +117,7 @@ def write_arrays(folder: str | Path, description: dict[str, Any], cases: list[Ar
 
 
 def read_animation(folder: str | Path) -> tuple[dict[str, Any], list[Arrays]] | None:
-    """What `write_animation` has written; None where there is no such file, or a larger one.
+    """What `write_arrays` has written; None where there is no such file, or a larger one.
 
     Nothing in the file is executed: arrays of objects are refused.
     Raises: InputError for a file that is damaged.

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from rfem_jax.report.output import without_nan
-from rfem_jax.whole_files import replacing
+from rfem_jax.whole_files import write_text
 
 ASSETS = Path(__file__).parent / "assets"
 LIBRARY = "vendor/uPlot.iife.min.js"
@@ -49,9 +49,7 @@ def write_folder(folder: str | Path) -> Path:
 
 def write_document(path: str | Path, content: dict[str, Any]) -> Path:
     """Write the page with this content."""
-    with replacing(path) as temporary:
-        temporary.write_text(page_text(content), encoding="utf-8")
-    return Path(path)
+    return write_text(path, page_text(content))
 
 
 def page_text(content: dict[str, Any]) -> str:

@@ -53,7 +53,7 @@ def _animation(folder: Path, cases: list[str]) -> dict[str, Any] | None:
 def _plain(case: dict[str, Any]) -> bool:
     """Whether the case's name is that of a file in the folder, not a path out of it."""
     name = case["name"]
-    return name not in ("", ".", "..") and not set(name) & set("/\\\0")
+    return name not in ("", ".", "..") and not set(name) & set("/\\:\0")
 
 
 def page_head(results: dict[str, Any]) -> dict[str, Any]:

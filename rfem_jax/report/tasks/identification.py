@@ -45,6 +45,7 @@ from rfem_jax.tolerancing.identification.production_result import Production
 from rfem_jax.tolerancing.identification.signals import signal
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
 from rfem_jax.tolerancing.progress import ProgressOption
+from rfem_jax.whole_files import write_text
 
 SHOWN = 400  # samples of a curve on the page
 MOST_PANELS = 8
@@ -155,9 +156,7 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
         """Also identification_machines.csv, a row per machine, and identification_tolerances.toml."""
         written = self.write_both(folder, production_content(result), result.rows())
         written.append(write_csv(folder / f"{self.name}_machines.csv", result.machine_rows()))
-        lines = folder / f"{self.name}_tolerances.toml"
-        lines.write_text(result.lines(), encoding="utf-8")
-        return [*written, lines]
+        return [*written, write_text(folder / f"{self.name}_tolerances.toml", result.lines())]
 
     def succeeded(self, result: Result) -> bool:
         """Also where several sets of errors explain the data: all of them are told."""

@@ -86,7 +86,7 @@ class SignsOfLife:
         """Give a sign, and see which others have given one since the last time."""
         self._number += 1
         with suppress(OSError):
-            self._path(self._own).write_text(f"{self._token} {self._number}", encoding="utf-8")
+            self._path(self._own).write_text(f"{self._token} {self._number}", encoding="utf-8", newline="\n")
         for process in self._others:
             try:
                 content = self._path(process).read_text(encoding="utf-8")
