@@ -112,8 +112,12 @@ def test_errors_are_identified_written_and_drawn(path, tmp_path, capsys):
     # The candidate tells most of the shift, and is chosen first or second of three.
     worth = {one["column"]: one for one in found["visibility"]["signals"]}
     assert set(worth) == {"rate_rad_s", "A_force_x_N", "D_force_y_N"} and worth["D_force_y_N"]["place"] < 3
+    checked = {one["what"]: one for one in found["divisions"]}
+    assert set(checked) == {"save_every", "rfes"} and not any(one["coarse"] for one in checked.values())
+    assert checked["rfes"]["movement"] == [0.0, 0.0]  # a closed form has no links
     printed = capsys.readouterr().out
     assert "status ok" in printed and "D.delta_x" in printed and "What the signals tell" in printed
+    assert "The model is fine enough" in printed
     assert max(len(line) for line in printed.splitlines() if str(tmp_path) not in line) <= WIDTH
     (task,) = folder_content(out)["tasks"]
     assert task["name"] == "identification" and len(task["result"]["curves"]) == 2

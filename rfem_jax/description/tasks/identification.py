@@ -18,6 +18,7 @@ from rfem_jax.description.basics.errors import (
     Problems,
     located,
     require_choice,
+    require_flag,
     subject,
 )
 from rfem_jax.description.basics.tables import keys_of, read_table
@@ -117,6 +118,8 @@ class IdentificationTask(Task):
         starts: searches, from the mean of the prior and from points all over it.
         iterations: the most steps of each search.
         samples: simulations of the importance sampling that checks the intervals.
+        check_model: whether it is checked that the model is fine enough for the data: on links of twice as many
+            spring-damping elements, and with half the step.
         seed: of starts and samples.
         correction: which adjustment of the machine is looked for, if any.
     Raises: InputError for settings that are out of range or do not fit each other.
@@ -138,6 +141,7 @@ class IdentificationTask(Task):
     starts: int = 8
     iterations: int = 60
     samples: int = 256
+    check_model: bool = True
     seed: int = 0
     correction: AskedCorrection | None = None
 
@@ -156,6 +160,7 @@ class IdentificationTask(Task):
         convert_all(checks, ("samples",), whole_number, 16, MOST_SAMPLES)
         convert_all(checks, ("seed",), whole_number, 0)
         convert_all(checks, ("confidence",), fraction)
+        convert_all(checks, ("check_model",), require_flag)
         checks.relation(("signals",), self._require_signals)
         checks.relation(("candidates",), self._require_noise)
         checks.relation(("time_shift",), self._require_finite)

@@ -17,6 +17,7 @@ from rfem_jax.description.basics.errors import InputError, located
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.identification import IdentificationTask, Sensor, unit_of_column
 from rfem_jax.description.tolerances.error_catalogue import as_specified
+from rfem_jax.mechanics.statics.designs import model_of_study
 from rfem_jax.report.annotations import Figure
 from rfem_jax.report.output import write_csv
 from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles, new_figure, panel_grid
@@ -44,7 +45,10 @@ from rfem_jax.tolerancing.identification.measurements import Data, machines_in
 from rfem_jax.tolerancing.identification.production_result import Production
 from rfem_jax.tolerancing.identification.signals import signal
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
+from rfem_jax.tolerancing.problems.simulated_problem import Problem
+from rfem_jax.tolerancing.problems.static_problem import StaticProblem
 from rfem_jax.tolerancing.progress import ProgressOption
+from rfem_jax.tolerancing.refinement import refined, rfes_of
 
 SHOWN = 400  # samples of a curve on the page
 MOST_PANELS = 8
@@ -80,11 +84,13 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
                 experiments=task.experiments, **common,
             )  # fmt: skip
 
+        finer = self._finer(columns) if task.check_model else None
+
         def find(data: Data, progress: ProgressOption = False) -> Identification:
             return identify(
                 problem, data, task.signals, candidates=task.candidates, loss=task.loss,
                 confidence=task.confidence, starts=task.starts, iterations=task.iterations, samples=task.samples,
-                progress=progress, **common,
+                check_model=task.check_model, finer=finer, progress=progress, **common,
             )  # fmt: skip
 
         with located("[identification]"):
@@ -95,6 +101,14 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
             if task.correction is None:
                 return found
             return replace(found, correction=corrected(study, task.correction, task.at, found))
+
+    def _finer(self, columns: list[str]) -> Problem | StaticProblem | None:
+        """The machine with twice as many sdes in its links; None of rigid links."""
+        if not any(link.flexible for link in self.study.mechanism.links):
+            return None
+        study = study_problem.stable_when_refined(self.study, 2.0)
+        model = model_of_study(study, rfes=refined(rfes_of(model_of_study(study)), 2.0))
+        return study_problem.build_problem(study, [signal(one) for one in columns], model)
 
     def _production(self, machines: dict[str, Data], find: Callable[[Data], Identification]) -> Production:
         """What several machines say of production. Raises: InputError."""
@@ -141,6 +155,7 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
             "visibility": visibility,
             "remarks": list(result.remarks),
             "suspects": [asdict(one) for one in result.suspects],
+            "divisions": [asdict(one) | {"coarse": one.coarse} for one in result.divisions],
             "steps": result.steps,
             "converged": result.converged,
             "units": units,
@@ -175,6 +190,7 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
             f"{task.starts} with derivatives in every step of the searches, of which there are usually about "
             f"{USUAL_STEPS}",
             f"{task.samples} that check the intervals",
+            *(["some on finer links and with half the step"] if task.check_model else []),
             *self._of_correction(),
         ]
 

@@ -23,6 +23,7 @@ from rfem_jax.simulation.specification import Simulation
 from rfem_jax.tolerancing.checks import ErrorValues
 from rfem_jax.tolerancing.designs.sweep_study import Bounds, read_fixed
 from rfem_jax.tolerancing.identification.conclusion import conclude
+from rfem_jax.tolerancing.identification.discretisation_check import is_refined
 from rfem_jax.tolerancing.identification.experiments_compared import AS_GIVEN, experiment_told, shared_bases
 from rfem_jax.tolerancing.identification.identification_result import Identifiability, Identification
 from rfem_jax.tolerancing.identification.levenberg_marquardt import Searches, search
@@ -67,6 +68,8 @@ def identify(
     iterations: int = 60,
     samples: int = 256,
     times: Any = None,
+    finer: Problems | None = None,
+    check_model: bool = True,
     key: RandomKey | None = None,
     progress: ProgressOption = False,
 ) -> Identification:
@@ -90,25 +93,45 @@ def identify(
         iterations: the most steps of a search.
         samples: runs of the importance sampling that checks the intervals.
         times: (T,) [s], where the values of a problem are that is not simulated.
+        finer: the same problems with 2 n - 1 rfes for n of each flexible link, to check that these are enough; or None.
+        check_model: whether it is checked that steps, saved times and rfes are fine enough for the data.
         key: JAX random key of starts and samples; None for jax.random.key(0).
         progress: True, or a function of (done, total), steps of the searches.
     Returns: the result, whose status says what failed, if anything did.
     Raises: InputError for data that cannot be used, and for unknown names and bad numbers.
     """
+    _require_settings(loss, starts, iterations, samples)
+    level, key = fraction(confidence, "confidence"), jax.random.key(0) if key is None else key
+    problems, sensors, further = _as_list(problem), read_signals(signals), _further(candidates)
+    known, fixed = _read_prior(problems[0], sensors, tolerances, unknowns, prior, bounds, at)
+    predictors = [Predictor(one, [*{**sensors, **further}], known.names, fixed, times) for one in problems]
+    histories, refined = _histories(_as_list(data), sensors, len(problems)), _read_finer(finer, problems)
+    residuals = Residuals(known, predictors, histories, sensors, _shift(time_shift), loss)
+    with ProgressBar(progress, iterations, unit=SEARCH) as bar:
+        searches = _settle(residuals, _starts(residuals, key, starts), iterations, bar.advance)
+    return conclude(residuals, searches, further, level, samples, key, refined, check_model)
+
+
+def _require_settings(loss: str, starts: int, iterations: int, samples: int) -> None:
+    """Raises: InputError."""
     require_float64()
     require_choice(loss, LOSSES, "loss")
     for what, number, least in (("starts", starts, 1), ("iterations", iterations, 1), ("samples", samples, 16)):
         whole_number(number, what, least)
-    level, key = fraction(confidence, "confidence"), jax.random.key(0) if key is None else key
-    problems, sensors, further = _as_list(problem), read_signals(signals), _further(candidates)
-    known, fixed = _read_prior(problems[0], sensors, tolerances, unknowns, prior, bounds, at)
-    columns = list(dict.fromkeys((*sensors, *further)))
-    predictors = [Predictor(one, columns, known.names, fixed, times) for one in problems]
-    histories = _histories(_as_list(data), sensors, len(problems))
-    residuals = Residuals(known, predictors, histories, sensors, _shift(time_shift), loss)
-    with ProgressBar(progress, iterations, unit=SEARCH) as bar:
-        searches = _settle(residuals, _starts(residuals, key, starts), iterations, bar.advance)
-    return conclude(residuals, searches, further, level, samples, key)
+
+
+def _read_finer(finer: Problems | None, problems: list[Any]) -> list[Any] | None:
+    """Raises: InputError for problems that do not fit those of the experiments."""
+    if finer is None:
+        return None
+    found = _as_list(finer)
+    if len(found) != len(problems) or not all(map(is_refined, problems, found)):
+        raise InputError(
+            "Argument `finer` must be the same problems with twice as many spring-damping elements in every flexible "
+            f"link, one for each experiment, but is {found!r}; make their models by "
+            "`discretise(mechanism, {link: 2 * n - 1})`, with n the rfes of a link."
+        )
+    return found
 
 
 def _histories(data: list[Data], sensors: Sensors, experiments: int) -> list[list[History]]:
