@@ -55,6 +55,17 @@ NOT_CHECKED = (
     "Whether links have enough rfes was not checked: with too few an estimate is off though the data are explained. "
     "Refine them until it stays, or give the same machine on `finer` links."
 )
+# Numbers in other units, over those in SI units.
+UNITS = {
+    60.0 / (2.0 * np.pi): "it may be in revolutions per minute",
+    180.0 / np.pi: "it may be in degrees",
+    1e3: "it may be in a thousandth of the unit, as mm",
+    1e-3: "it may be in thousands of the unit, as kN",
+    1e6: "it may be in a millionth of the unit, as in micrometers or microstrains",
+    1.0 / 9.81: "it may be in multiples of g, or in kgf",
+    -1.0: "its sign may be the other one",
+}
+NEARLY, EXPLAINED = 0.2, 0.1  # of these factors; of what a signal leaves over
 COARSE = 0.3  # standard deviations of the noise: an error of interpolation that counts
 
 
@@ -85,7 +96,9 @@ def conclude(
     status = _status(searches, modes, signals, normal or method == "importance", divisions)
     suspects, untried = find_suspects(residuals, searches, best, signals)
     behind = suspicion(suspects, untried)
-    remarks = [*([behind] if behind else []), *_remarks(residuals, searches, modes, signals)]
+    curves = _curves(residuals, searches, best)
+    remarks = [*_unit_remarks(curves, signals), *([behind] if behind else [])]
+    remarks += _remarks(residuals, searches, modes, signals)
     remarks += _interval_remarks(method, normal, drawn, far, samples)
     remarks += discretisation_remarks(divisions, residuals.prior.names)
     if modes and finer is None and any(has_flexible_links(one.problem) for one in residuals.predictors):
@@ -94,7 +107,7 @@ def conclude(
         _without(residuals, searches, confidence, samples), status=status, method=method,
         modes=tuple(ModeFound(residuals.prior.errors(m.theta[:k]), m.cost, m.probability) for m in modes),
         effective=0.0 if drawn is None else drawn.effective, departure=far, signals=tuple(signals), visibility=seen,
-        **_samples(residuals, drawn), curves=tuple(_curves(residuals, searches, best)), remarks=tuple(remarks),
+        **_samples(residuals, drawn), curves=tuple(curves), remarks=tuple(remarks),
         suspects=suspects, divisions=divisions, **found,
     )  # fmt: skip
 
@@ -260,6 +273,27 @@ def _remarks(residuals: Residuals, searches: Searches, modes: list[Mode], signal
                 f"The same errors with {'the opposite sign' if len(changed) == 1 else 'opposite signs'} of "
                 f"{', '.join(changed)} explain the data, too (probability {one.probability:.2g})."
             )
+    return found
+
+
+def _unit_remarks(curves: list[Curve], signals: list[SignalFit]) -> list[str]:
+    """Sentences about signals that do not fit as they are in another unit, of the other sign, or of no sensor."""
+    found = []
+    for curve, one in zip(curves, signals, strict=True):
+        y, expected = curve.measured, curve.before
+        if np.ptp(y) == 0.0:
+            found.append(
+                f"All samples of `{one.column}` are {y[0]:g}: a sensor that shows nothing else may not be connected."
+            )
+        elif one.verdict != "fits" and expected @ expected > 0.0:
+            ratio = float(expected @ y / (expected @ expected))
+            explained = np.sum((y - ratio * expected) ** 2) < EXPLAINED * np.sum((y - expected) ** 2)
+            near = min(UNITS, key=lambda factor: abs(ratio / factor - 1.0))
+            if explained and abs(ratio / near - 1.0) < NEARLY:
+                found.append(
+                    f"`{one.column}` is {ratio:.4g} times what the model shows: {UNITS[near]}; give numbers in "
+                    f"{one.unit or '1'}, with the signs of the model."
+                )
     return found
 
 

@@ -39,6 +39,7 @@ from rfem_jax.tolerancing.identification.prior import Prior, read_prior
 from rfem_jax.tolerancing.identification.residuals import Residuals
 from rfem_jax.tolerancing.identification.signals import signal
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
+from rfem_jax.tolerancing.problems.sample_values import Base
 from rfem_jax.tolerancing.problems.simulated_problem import Problem
 from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption
 from rfem_jax.tolerancing.sampling.sequences import RandomKey, unit_points
@@ -59,7 +60,7 @@ def identify(
     unknowns: Sequence[str] | None = None,
     prior: str = "tolerances",
     bounds: Bounds | None = None,
-    at: ErrorValues | None = None,
+    at: ErrorValues | Sequence[ErrorValues] | None = None,
     candidates: Mapping[str, Any] | None = None,
     time_shift: float | str = 0.0,
     loss: str = "gaussian",
@@ -84,12 +85,12 @@ def identify(
         unknowns: names of errors, parameters and numbers of drives; None for all that have tolerances or bounds.
         prior: "tolerances": normal, with their means, standard deviations and correlations; or "flat".
         bounds: {error: (low, high)} in rad or m, or strings with a unit, which estimates do not leave.
-        at: {error: value} of errors that are known; all others are zero.
+        at: {error: value} of errors that are known, others are zero; or a list of them, one for each experiment.
         candidates: {column: Sensor(noise)} of further signals, whose worth at the estimate is told.
         time_shift: standard deviation [s], or a string with a unit, of the unknown delay of the clock of `data`.
         loss: "gaussian", or with outliers "huber" or "cauchy".
         confidence: of the intervals.
-        starts: searches; the first starts from the prior's mean, at which first derivatives may vanish by symmetry.
+        starts: searches, the first from the prior's mean, at which first derivatives may vanish by symmetry.
         iterations: the most steps of a search.
         samples: runs of the importance sampling that checks the intervals.
         times: (T,) [s], where the values of a problem are that is not simulated.
@@ -97,14 +98,14 @@ def identify(
         check_model: whether it is checked that steps, saved times and rfes are fine enough for the data.
         key: JAX random key of starts and samples; None for jax.random.key(0).
         progress: True, or a function of (done, total), steps of the searches.
-    Returns: the result, whose status says what failed, if anything did.
-    Raises: InputError for data that cannot be used, and for unknown names and bad numbers.
+    Returns: the result, whose status says what failed. Raises: InputError for data and arguments that cannot be used.
     """
     _require_settings(loss, starts, iterations, samples)
     level, key = fraction(confidence, "confidence"), jax.random.key(0) if key is None else key
     problems, sensors, further = _as_list(problem), read_signals(signals), _further(candidates)
-    known, fixed = _read_prior(problems[0], sensors, tolerances, unknowns, prior, bounds, at)
-    predictors = [Predictor(one, [*{**sensors, **further}], known.names, fixed, times) for one in problems]
+    known, bases = _read_bases(problems, sensors, tolerances, unknowns, prior, bounds, at)
+    args = [*{**sensors, **further}], known.names
+    predictors = [Predictor(one, *args, base, times) for one, base in zip(problems, bases, strict=True)]
     histories, refined = _histories(_as_list(data), sensors, len(problems)), _read_finer(finer, problems)
     residuals = Residuals(known, predictors, histories, sensors, _shift(time_shift), loss)
     with ProgressBar(progress, iterations, unit=SEARCH) as bar:
@@ -247,6 +248,22 @@ def _read_prior(problem, sensors, tolerances, unknowns, prior, bounds, at) -> tu
         problem = Problem(problem, [signal(one) for one in sensors])
     found = read_prior(problem, tolerances, unknowns, prior, bounds)
     return found, scaled_base(read_fixed(problem, at, found.names))
+
+
+def _read_bases(problems: list[Any], sensors, tolerances, unknowns, prior, bounds, at) -> tuple[Prior, list[Base]]:
+    """The prior, and the errors held fixed in each experiment; all name the same, so that they share programs."""
+    several = at if isinstance(at, (list, tuple)) else [at] * len(problems)
+    if len(several) != len(problems):
+        raise InputError(
+            f"Argument `at` must be as many as the experiments, but are {len(several)} for {len(problems)}; give one "
+            "of each, or one for all."
+        )
+    found = [
+        _read_prior(one, sensors, tolerances, unknowns, prior, bounds, own)
+        for one, own in zip(problems, several, strict=True)
+    ]
+    names = dict.fromkeys(name for _, fixed in found for name in fixed)
+    return found[0][0], [scaled_base({name: float(fixed.get(name, 0.0)) for name in names}) for _, fixed in found]
 
 
 def _prior_points(prior: Prior, key: RandomKey, n: int) -> Float[np.ndarray, "n k"]:
