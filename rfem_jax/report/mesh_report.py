@@ -3,22 +3,17 @@
 Place in the pipeline: study -> `tolerancing.refinement` -> **mesh_report** -> `rfem-jax check --converge`.
 """
 
-from dataclasses import replace
-
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.labelled_data import text_of
 from rfem_jax.mechanics.statics.designs import model_of_study
 from rfem_jax.report.summary import joint_names
-from rfem_jax.report.tasks.study_problem import build_problem
+from rfem_jax.report.tasks.study_problem import build_problem, stable_when_refined
 from rfem_jax.report.tasks.task_report import as_stage
-from rfem_jax.simulation import Simulation
-from rfem_jax.simulation.stability import largest_stable_step
 from rfem_jax.tolerancing.problems.simulated_problem import Problem
 from rfem_jax.tolerancing.problems.static_problem import StaticProblem
-from rfem_jax.tolerancing.refinement import Mesh, MeshConvergence, mesh_convergence, refined, rfes_of
+from rfem_jax.tolerancing.refinement import Mesh, MeshConvergence, mesh_convergence
 
-MARGIN = 0.9  # of the largest stable step
 FINEST = 4.0  # sdes of the finest mesh over those of the study, nearly always
 
 
@@ -36,24 +31,13 @@ def study_convergence(study: Study, accuracy: float) -> MeshConvergence:
     of_tasks = [one for task in study.tasks.asked.values() for one in getattr(task, "metrics", ())]
     metrics = list(dict.fromkeys((*loads, *study.metrics, *of_tasks)))
     at_rest = study.statics is not None
-    study = study if at_rest else _with_step(study)
+    study = study if at_rest else stable_when_refined(study, FINEST)
 
     def make(rfes: Mesh | None) -> Problem | StaticProblem:
         return build_problem(study, metrics, model_of_study(study, at_rest, rfes))
 
     cases = {case.name: case.errors for case in study.cases}
     return mesh_convergence(make, cases, accuracy=accuracy, progress=as_stage("Comparing numbers of rfes"))
-
-
-def _with_step(study: Study) -> Study:
-    """The study with a method of one step for all meshes, stable on the finest one."""
-    model = model_of_study(study)
-    method = Simulation.of(study, model=model).chosen
-    if not method.implicit and method.step is not None:
-        finest = model_of_study(study, rfes=refined(rfes_of(model), FINEST))
-        limit = largest_stable_step(finest, method, study.designed_drive)
-        method = replace(method, step=min(method.step, MARGIN * limit))
-    return replace(study, method=method)
 
 
 def convergence_text(found: MeshConvergence) -> str:

@@ -38,6 +38,8 @@ def test_errors_intervals_curves_and_fits_are_shown(identified, open_page):
     out = identified(TABLES + CORRECTION)
     found, page = json.loads((out / "identification.json").read_text(encoding="utf-8")), open_page(out / "report.html")
     task_tab(page, "Identification")
+    shown = [row[-1] for row in table(page, "#divisions")[1]]
+    assert shown == ["fine enough"] * len(found["divisions"]) and "rfes" in [one["what"] for one in found["divisions"]]
     assert page.text("#identification-status") == f"Status ok: {found['message']}."
     head, rows = table(page, "#identified-errors")
     assert [row[0] for row in rows] == ["D.delta_x", "D.d_y"]

@@ -104,8 +104,11 @@ metrics = ["*.rms_moment"]
 [reliability]
 limits = { "D.mean_square_moment" = 20.0 }
 [identification]
+data = "measured.csv"
 signals = { rate_rad_s = { noise = 0.1 } }
 candidates = { A_force_x_N = { noise = "2 N" } }
+[identification.measured.fast]
+data = "fast.csv"
 [identification.correction]
 metric = "D.rms_moment"
 adjustments = { "D.d_y" = ["-1 mm", "1 mm"] }
@@ -125,7 +128,8 @@ def header_of(place):
     place = re.sub(r"^(\[drive\]|\[\[drives\]\])", "[drive] or [[drives]]", place)
     place = re.sub(r"^\[tolerances\] `\w+\.position`$", "[tolerances] JOINT.position", place)
     place = re.sub(r"^\[tolerances\] `.*", "[tolerances] ERROR", place)
-    place = re.sub(r"^(\[identification\.\w+)\.\w+\]$", r"\1.COLUMN]", place)
+    place = re.sub(r"^(\[identification\.measured)\.\w+\]$", r"\1.NAME]", place)
+    place = re.sub(r"^(\[identification\.(?:signals|candidates))\.\w+\]$", r"\1.COLUMN]", place)
     return re.sub(r"^\[(allocation|optimise)\.cost\] `.*", r"[\1.cost]", place)
 
 

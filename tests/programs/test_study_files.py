@@ -157,7 +157,8 @@ def test_identify_misassembly(run_program, run_command, tmp_path):
     content["simulation"] |= {"duration": 0.15, "save_every": 1e-3, "step": 5e-4}
     for link in content["mechanism"]["links"][1:]:
         link["rfes"] = 4
-    content["identification"] |= {"starts": 4, "samples": 64, "candidates": {}}
+    # So few rfes would be too coarse, as the study's test with `long` shows that its own are not.
+    content["identification"] |= {"starts": 4, "samples": 64, "candidates": {}, "check_model": False}
     del content["identification"]["correction"]
     sensors = {"rate_rad_s": {"noise": 0.15}, "D_moment_z_Nm": {"noise": 0.1, "offset": 0.2}}
     content["identification"]["signals"] = sensors

@@ -112,8 +112,12 @@ def test_errors_are_identified_written_and_drawn(path, tmp_path, capsys):
     # The candidate tells most of the shift, and is chosen first or second of three.
     worth = {one["column"]: one for one in found["visibility"]["signals"]}
     assert set(worth) == {"rate_rad_s", "A_force_x_N", "D_force_y_N"} and worth["D_force_y_N"]["place"] < 3
+    checked = {one["what"]: one for one in found["divisions"]}
+    assert set(checked) == {"save_every", "rfes"} and not any(one["coarse"] for one in checked.values())
+    assert checked["rfes"]["movement"] == [0.0, 0.0]  # a closed form has no links
     printed = capsys.readouterr().out
     assert "status ok" in printed and "D.delta_x" in printed and "What the signals tell" in printed
+    assert "The model is fine enough" in printed
     assert max(len(line) for line in printed.splitlines() if str(tmp_path) not in line) <= WIDTH
     (task,) = folder_content(out)["tasks"]
     assert task["name"] == "identification" and len(task["result"]["curves"]) == 2
@@ -384,3 +388,64 @@ def test_loads_in_other_axes_are_signals(tmp_path):
             np.testing.assert_array_equal(np.asarray(signal(name)(run)), values)
     with pytest.raises(InputError, match="A_force_local_x_N"):
         signal("A_force_local_x_N")(run)
+
+
+def build_of_experiment(study, metrics, model=None, trials=None):
+    """A third error that only another experiment shows, and a rate that is larger over a longer time."""
+    names = ["time_s", *(one.name for one in metrics)]
+
+    def measured(errors):
+        values = signals(errors)
+        third = errors["D.delta_z"] / 2e-3 * jnp.sin(30.0 * jnp.asarray(TIMES))
+        values["rate_rad_s"] = study.duration / 0.5 * values["rate_rad_s"] + third
+        return {name: values[name] for name in names}
+
+    return FunctionProblem(
+        measured, (*TRUTH, "D.delta_z"), [Metric(name) for name in names], error_units={"D.d_y": "m"}
+    )  # fmt: skip
+
+
+def test_further_experiments_are_read_from_their_files(answered_by, tmp_path, capsys):
+    """At another duration, as another study says, and with an error that was made on purpose."""
+    tables = TABLES + (
+        '[identification.measured.longer]\ndata = "longer.csv"\nstudy = "longer.toml"\n'
+        '[identification.measured.turned]\ndata = "turned.csv"\nchanges = { "D.delta_z" = "0.2 deg" }\n'
+    )
+    path, rng = answered_by(build_of_experiment, tables), np.random.default_rng(0)
+    (tmp_path / "longer.toml").write_text(STUDY.replace("duration = 0.5", "duration = 1.0"), encoding="utf-8")
+    for name, duration, turned in (("measured", 0.5, 0.0), ("longer", 1.0, 0.0), ("turned", 0.5, np.radians(0.2))):
+        problem = build_of_experiment(
+            type("Study", (), {"duration": duration}), [Metric(one) for one in ("rate_rad_s", "A_force_x_N")]
+        )
+        values = problem(TRUTH | {"D.delta_z": turned})[0]
+        rows = [
+            f"{TIMES[k]:.3f},{values['rate_rad_s'][k] + 0.02 * rng.normal():.5f},"
+            f"{values['A_force_x_N'][k] + 0.3 * rng.normal():.5f}"
+            for k in range(1, 100)
+        ]
+        (tmp_path / f"{name}.csv").write_text("time_s,rate_rad_s,A_force_x_N\n" + "\n".join(rows), encoding="utf-8")
+    out = tmp_path / "out"
+    assert main(["identify", str(path), "--out", str(out)]) == 0
+    found = json.loads((out / "identification.json").read_text(encoding="utf-8"))
+    assert found["status"] == "ok" and [one["experiment"] for one in found["signals"]] == [1, 1, 2, 2, 3, 3]
+    for row, truth in zip(found["errors"], TRUTH.values(), strict=True):
+        assert row["low"] < truth < row["high"]
+    alone = report_on(load_study(answered_by(build_of_experiment, TABLES)), "identification").run(tmp_path)
+    assert found["errors"][0]["deviation"] < 0.6 * alone.deviation[0]
+    assert "longer (longer.csv of longer.toml), turned (turned.csv)" in tasks_text(
+        load_study(answered_by(build_of_experiment, tables))
+    )
+    capsys.readouterr()
+    for old, new, words in (
+        ('study = "longer.toml"', 'study = "none.toml"', ("measured.longer", "none.toml")),
+        ("D.delta_z", "D.delta_x", ("`at`", "`D.delta_x` varies")),
+        ("D.delta_z", "Q.delta_z", ("turned", "`Q.delta_z`")),
+        ('data = "turned.csv"', "data = 3", ("`data`", "3")),
+        ('data = "turned.csv"\n', "", ("turned", "`data`")),
+        ('data = "measured.csv"\n', "", ("`measured`", "no `data`")),
+        ("[identification.measured.turned]", "[identification.measured.turned]\nspeed = 3", ("turned", "`speed`")),
+    ):
+        answered_by(build_of_experiment, tables.replace(old, new))
+        assert main(["identify", str(path), "--out", str(tmp_path / "refused")]) == 2
+        said = capsys.readouterr().err
+        assert all(word in said for word in words), (said, words)

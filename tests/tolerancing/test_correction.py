@@ -248,3 +248,24 @@ def test_an_identification_without_a_posterior_is_refused(machine, refused):
             "C.square",
             {"C.d_y": (0, 1)},
         )
+
+
+def test_shims_come_in_packs(machine, refused):
+    """The multiple of the pack that is next to the best amount, on the side where the parabola is lower."""
+    found, mean, covariance = machine
+    pack = 1.6e-4
+    free = correct(LOADS, found, "C.square", ADJUSTMENTS)
+    packed = correct(LOADS, found, "C.square", ADJUSTMENTS, multiples_of={"D.d_y": "0.16 mm"})
+    (_, tilt, shift, _), (_, same, packs, both) = free.outcomes, packed.outcomes
+    assert tilt.amounts == pytest.approx(same.amounts) and packed.status == "ok"
+    count = packs.amounts[1] / pack
+    assert count == pytest.approx(round(count), abs=1e-9) and count == round(shift.amounts[1] / pack) != 0
+    left = WEIGHTS @ mean + WEIGHTS[2] * packs.amounts[1] / SIGMA[2]
+    assert packs.mean == pytest.approx(left**2 + WEIGHTS @ covariance @ WEIGHTS, rel=0.03)
+    assert packs.mean > shift.mean and both.amounts[1] / pack == pytest.approx(round(both.amounts[1] / pack), abs=1e-9)
+    for multiples, words in (
+        ({"D.delta_z": 1e-3}, ("`multiples_of`", "`D.delta_z`")), ({"D.d_y": 0.0}, ("`multiples_of`", "positive")),
+        ({"D.d_y": "1 deg"}, ("`multiples_of`", "1 deg")),
+    ):  # fmt: skip
+        with refused(*words):
+            correct(LOADS, found, "C.square", ADJUSTMENTS, multiples_of=multiples)

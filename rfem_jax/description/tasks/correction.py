@@ -12,6 +12,7 @@ from rfem_jax.description.metrics.subjects import require_metric, subjects_of
 from rfem_jax.description.parameters.deviations import require_deviation
 from rfem_jax.description.tasks.settings import convert_all, fraction, limits_of, metric_names, whole_number
 from rfem_jax.description.tasks.sweep import bounds_of
+from rfem_jax.description.tolerances.tolerances import error_quantities
 
 
 @dataclass(frozen=True)
@@ -21,6 +22,7 @@ class AskedCorrection(ChecksItself):
     Args:
         metric: what is to be less.
         adjustments: {error or parameter: (least, largest change)} that can be made, 0 among them.
+        multiples_of: {adjustment: amount}: it comes in whole multiples, as shims of "0.05 mm" do.
         limits: {metric: largest value, or (low, high)} in its unit, whose probabilities to be broken are told.
         quantile: the metric is below the value that is told with this probability, between 0 and 1.
         points: samples of what is known of the errors that searches see.
@@ -30,6 +32,7 @@ class AskedCorrection(ChecksItself):
 
     metric: str
     adjustments: dict[str, tuple[float, float]]
+    multiples_of: dict[str, float] = field(default_factory=dict)
     limits: dict[str, tuple[float, float]] = field(default_factory=dict)
     quantile: float = 0.95
     points: int = 16
@@ -38,10 +41,11 @@ class AskedCorrection(ChecksItself):
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("metric", _metric)
         checks.convert("adjustments", bounds_of, "adjustments")
+        checks.convert("multiples_of", error_quantities, "multiples_of")
         checks.convert("limits", limits_of)
         convert_all(checks, ("quantile",), fraction)
         convert_all(checks, ("points", "steps"), whole_number, 1)
-        checks.relation(("adjustments",), self._require_changes)
+        checks.relation(("adjustments", "multiples_of"), self._require_changes)
 
     def _require_changes(self) -> None:
         for name, (low, high) in self.adjustments.items():
@@ -49,6 +53,12 @@ class AskedCorrection(ChecksItself):
                 raise InputError(
                     f"Argument `adjustments` must be changes, 0 among them, but `{name}` goes from {low:g} to "
                     f"{high:g}; give the least and the largest change from what was measured."
+                )
+        for name, amount in self.multiples_of.items():
+            if name not in self.adjustments or not (isinstance(amount, str) or amount > 0.0):
+                raise InputError(
+                    "Argument `multiples_of` must give positive amounts of adjustments, but has "
+                    f"`{name}` = {amount!r}; name one of the `adjustments`."
                 )
         if not self.adjustments:
             raise InputError(

@@ -18,6 +18,7 @@ from rfem_jax.description.basics.errors import (
     Problems,
     located,
     require_choice,
+    require_flag,
     subject,
 )
 from rfem_jax.description.basics.tables import keys_of, read_table
@@ -37,6 +38,7 @@ LOSSES = ("gaussian", "huber", "cauchy")
 PRIORS = ("tolerances", "flat")
 FILTERS = ("", "low_pass", "butterworth", "high_pass", "average")
 SENSOR_TABLES = ("signals", "candidates")  # by the names of columns
+MEASURED = "measured"  # by the names of experiments
 _MEASURED = ("acceleration", "angle", "rate", "speed", "moment", "force", "length", "pressure")
 _UNITS = {column_name("", DIMENSIONS[name][1]): (name, DIMENSIONS[name][1]) for name in _MEASURED}
 _UNITS[column_name("", STRAIN)] = ("none", STRAIN)
@@ -97,6 +99,28 @@ Sensors = Mapping[str, Sensor]
 
 
 @dataclass(frozen=True)
+class MeasuredExperiment(ChecksItself):
+    """A further experiment with the same machine, and what was measured in it.
+
+    Args:
+        data: path of its CSV file, in a study file relative to it, with the columns of the signals.
+        study: path of a study file of the same mechanism, likewise, whose drive, forces, duration and saved times are
+            those of the experiment; "": those of the study itself.
+        changes: {parameter, number of a drive, or error: deviation from its value} in this experiment.
+    Raises: InputError for other values.
+    """
+
+    data: str
+    study: str = ""
+    changes: dict[str, float] = field(default_factory=dict)
+
+    def _check_fields(self, checks: Checks) -> None:
+        checks.convert("data", _path)
+        checks.convert("study", _path, "study", "study", "other.toml")
+        checks.convert("changes", error_quantities, "changes")
+
+
+@dataclass(frozen=True)
 class IdentificationTask(Task):
     """The errors of a machine that was measured, and what can be known of them.
 
@@ -111,12 +135,15 @@ class IdentificationTask(Task):
         at: {error: value} in rad and m of errors that are known; others are 0.
         experiments: {name: {parameter, number of a drive, or error: deviation from its value}} of other experiments
             with the same machine, which are compared where nothing is measured yet.
+        measured: {name: MeasuredExperiment}, further experiments that were measured, as at another speed.
         time_shift: standard deviation [s] of the unknown delay of the measurements' clock; 0 without one.
         loss: "gaussian", or for data with outliers "huber" or "cauchy".
         confidence: of the intervals, between 0 and 1.
         starts: searches, from the mean of the prior and from points all over it.
         iterations: the most steps of each search.
         samples: simulations of the importance sampling that checks the intervals.
+        check_model: whether it is checked that the model is fine enough for the data: on links of twice as many
+            spring-damping elements, and with half the step.
         seed: of starts and samples.
         correction: which adjustment of the machine is looked for, if any.
     Raises: InputError for settings that are out of range or do not fit each other.
@@ -132,12 +159,14 @@ class IdentificationTask(Task):
     bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
     at: dict[str, float] = field(default_factory=dict)
     experiments: dict[str, dict[str, float]] = field(default_factory=dict)
+    measured: dict[str, MeasuredExperiment] = field(default_factory=dict)
     time_shift: float = 0.0
     loss: str = "gaussian"
     confidence: float = 0.95
     starts: int = 8
     iterations: int = 60
     samples: int = 256
+    check_model: bool = True
     seed: int = 0
     correction: AskedCorrection | None = None
 
@@ -151,13 +180,16 @@ class IdentificationTask(Task):
         checks.convert("bounds", bounds_of)
         checks.convert("at", error_quantities, "at")
         checks.convert("experiments", _experiments)
+        checks.convert(MEASURED, _measured)
         checks.convert("time_shift", _deviation, "time_shift", "time")
         convert_all(checks, ("starts", "iterations"), whole_number, 1, MOST_SAMPLES)
         convert_all(checks, ("samples",), whole_number, 16, MOST_SAMPLES)
         convert_all(checks, ("seed",), whole_number, 0)
         convert_all(checks, ("confidence",), fraction)
+        convert_all(checks, ("check_model",), require_flag)
         checks.relation(("signals",), self._require_signals)
         checks.relation(("candidates",), self._require_noise)
+        checks.relation(("data", "measured"), self._require_data)
         checks.relation(("time_shift",), self._require_finite)
 
     def _require_signals(self) -> None:
@@ -171,6 +203,13 @@ class IdentificationTask(Task):
         for column, sensor in self.candidates.items():
             require_noise(column, sensor, "candidates")
 
+    def _require_data(self) -> None:
+        if self.measured and not self.data:
+            raise InputError(
+                "Argument `measured` must be of further experiments, beside what was measured of the study itself, but "
+                "there is no `data`; name the file of the first experiment there."
+            )
+
     def _require_finite(self) -> None:
         if self.time_shift == inf:
             raise InputError("Argument `time_shift` must be a finite time, but was inf; estimate how large it may be.")
@@ -179,7 +218,8 @@ class IdentificationTask(Task):
     def tables(cls, header: str) -> list[tuple[str, type, Collection[str], Collection[str]]]:
         inner = [f"{header[:-1]}.{name}.COLUMN]" for name in SENSOR_TABLES]
         correction = f"{header[:-1]}.correction]", AskedCorrection, *keys_of(AskedCorrection)
-        return [*super().tables(header), *((one, Sensor, *keys_of(Sensor)) for one in inner), correction]
+        measured = f"{header[:-1]}.{MEASURED}.NAME]", MeasuredExperiment, *keys_of(MeasuredExperiment)
+        return [*super().tables(header), *((one, Sensor, *keys_of(Sensor)) for one in inner), measured, correction]
 
     @classmethod
     def read(cls, table: object, place: str, tolerances: SpecifiedTolerances | None) -> "IdentificationTask":
@@ -187,12 +227,13 @@ class IdentificationTask(Task):
         read, problems = table, Problems()
         if isinstance(table, dict):
             read = dict(table)
-            for name in SENSOR_TABLES:
+            for name in (*SENSOR_TABLES, MEASURED):
                 if isinstance(table.get(name), dict):
+                    kind: Any = MeasuredExperiment if name == MEASURED else Sensor
                     with problems.noted():
                         read[name] = {
-                            column: read_table(Sensor, one, f"{place[:-1]}.{name}.{column}]")
-                            for column, one in table[name].items()
+                            inner: read_table(kind, one, f"{place[:-1]}.{name}.{inner}]")
+                            for inner, one in table[name].items()
                         }
             if "correction" in table:
                 with problems.noted():
@@ -205,7 +246,7 @@ class IdentificationTask(Task):
     def resolved(self, mechanism: Mechanism, name: str) -> "IdentificationTask":
         """As `Task.resolved`; what experiments change and a correction adjusts and reduces must be there, too."""
         problems = Problems()
-        for title, values in self.experiments.items():
+        for title, values in (*self.experiments.items(), *((name, one.changes) for name, one in self.measured.items())):
             for error in values:
                 with problems.noted():
                     require_deviation(mechanism, error, f"`{name}`, experiment `{title}`")
@@ -297,9 +338,18 @@ def _experiments(experiments: object) -> dict[str, dict[str, float]]:
     return {str(name): error_quantities(values, f"experiments.{name}") for name, values in experiments.items()}
 
 
-def _path(path: object) -> str:
+def _measured(measured: object) -> dict[str, MeasuredExperiment]:
+    if not isinstance(measured, Mapping) or not all(isinstance(one, MeasuredExperiment) for one in measured.values()):
+        raise InputError(
+            f"Argument `{MEASURED}` must be a table of experiments, but was {measured!r}; write for example "
+            '{ fast = { data = "fast.csv", study = "fast.toml" } }.'
+        )
+    return dict(measured)
+
+
+def _path(path: object, what: str = "data", kind: str = "CSV", example: str = "measured.csv") -> str:
     if not isinstance(path, str):
-        raise InputError(f'Argument `data` must be the path of a CSV file, but was {path!r}; write "measured.csv".')
+        raise InputError(f'Argument `{what}` must be the path of a {kind} file, but was {path!r}; write "{example}".')
     return path
 
 

@@ -37,8 +37,8 @@ def corrected(study: Study, asked: AskedCorrection, at: dict[str, float], found:
     on_stage(f"Looking for the best of {len(asked.adjustments)} adjustments")
     problem = study_problem.build_problem(study, list(dict.fromkeys((asked.metric, *asked.limits))))
     return correct(
-        problem, found, asked.metric, asked.adjustments, limits=asked.limits, at=at, quantile=asked.quantile,
-        points=asked.points, steps=asked.steps,
+        problem, found, asked.metric, asked.adjustments, multiples_of=asked.multiples_of, limits=asked.limits, at=at,
+        quantile=asked.quantile, points=asked.points, steps=asked.steps,
     )  # fmt: skip
 
 

@@ -14,9 +14,10 @@ import numpy as np
 
 from rfem_jax.compilation.stages import on_stage
 from rfem_jax.description.basics.errors import InputError, located
-from rfem_jax.description.study_file.study import Study
+from rfem_jax.description.study_file.study import Study, load_study
 from rfem_jax.description.tasks.identification import IdentificationTask, Sensor, unit_of_column
 from rfem_jax.description.tolerances.error_catalogue import as_specified
+from rfem_jax.mechanics.statics.designs import model_of_study
 from rfem_jax.report.annotations import Figure
 from rfem_jax.report.output import write_csv
 from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles, new_figure, panel_grid
@@ -42,9 +43,12 @@ from rfem_jax.tolerancing.identification.identification_result import (
 from rfem_jax.tolerancing.identification.identification_study import identifiability, identify
 from rfem_jax.tolerancing.identification.measurements import Data, machines_in
 from rfem_jax.tolerancing.identification.production_result import Production
-from rfem_jax.tolerancing.identification.signals import signal
+from rfem_jax.tolerancing.identification.signals import Signal, signal
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
+from rfem_jax.tolerancing.problems.simulated_problem import Problem
+from rfem_jax.tolerancing.problems.static_problem import StaticProblem
 from rfem_jax.tolerancing.progress import ProgressOption
+from rfem_jax.tolerancing.refinement import refined, rfes_of
 from rfem_jax.whole_files import write_text
 
 SHOWN = 400  # samples of a curve on the page
@@ -67,7 +71,8 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
                 "Task `identification` must be of a motion, but the study has a table [statics]; leave that out."
             )
         columns = list(dict.fromkeys((*task.signals, *task.candidates)))
-        problem = study_problem.build_problem(study, [signal(one) for one in columns])
+        metrics = [signal(one) for one in columns]
+        problem = study_problem.build_problem(study, metrics)
         specified = study.tasks.tolerances
         common: dict[str, Any] = {
             "tolerances": None if specified is None else Tolerances.of(specified), "unknowns": task.unknowns,
@@ -81,11 +86,17 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
                 experiments=task.experiments, **common,
             )  # fmt: skip
 
+        experiments = [(study, task.data, task.at), *self._measured()]
+        problems = [problem, *(study_problem.build_problem(one, metrics) for one, _, _ in experiments[1:])]
+        finer = [self._finer(one, metrics) for one, _, _ in experiments] if task.check_model else [None]
+        common |= {"finer": None if None in finer else finer, "at": [at for *_, at in experiments]}
+        further = [self._beside(data) for _, data, _ in experiments[1:]]
+
         def find(data: Data, progress: ProgressOption = False) -> Identification:
             return identify(
-                problem, data, task.signals, candidates=task.candidates, loss=task.loss,
+                problems, [data, *further], task.signals, candidates=task.candidates, loss=task.loss,
                 confidence=task.confidence, starts=task.starts, iterations=task.iterations, samples=task.samples,
-                progress=progress, **common,
+                check_model=task.check_model, progress=progress, **common,
             )  # fmt: skip
 
         with located("[identification]"):
@@ -97,8 +108,35 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
                 return found
             return replace(found, correction=corrected(study, task.correction, task.at, found))
 
+    def _measured(self) -> list[tuple[Study, str, dict[str, float]]]:
+        """Study, data and what is held fixed of the further experiments. Raises: InputError."""
+        found = []
+        for title, one in self.task.measured.items():
+            with located(f"[identification.measured.{title}]"):
+                study = load_study(self._beside(one.study)) if one.study else self.study
+                if study.statics is not None or _things(study) != _things(self.study):
+                    raise InputError(
+                        "Argument `study` must be of a motion of the same mechanism, but has other links or joints, or "
+                        "a table [statics]; change its drive, forces, simulation or numbers alone."
+                    )
+                found.append((study, one.data, self.task.at | one.changes))
+        return found
+
+    def _finer(self, study: Study, metrics: list[Signal]) -> Problem | StaticProblem | None:
+        """The machine with twice as many sdes in its links; None of rigid links."""
+        if not any(link.flexible for link in study.mechanism.links):
+            return None
+        study = study_problem.stable_when_refined(study, 2.0)
+        model = model_of_study(study, rfes=refined(rfes_of(model_of_study(study)), 2.0))
+        return study_problem.build_problem(study, metrics, model)
+
     def _production(self, machines: dict[str, Data], find: Callable[[Data], Identification]) -> Production:
         """What several machines say of production. Raises: InputError."""
+        if self.task.measured:
+            raise InputError(
+                f"Argument `measured` must be of one machine, but the data have {len(machines)}; leave out the tables "
+                "[identification.measured], or the rows of other machines."
+            )
         if self.task.correction is not None:
             raise InputError(
                 f"Argument `correction` must be of one machine, but the data have {len(machines)}; leave out the table "
@@ -109,8 +147,10 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
     @property
     def data_path(self) -> Path:
         """The file with the measurements."""
-        beside = Path() if self.study.path is None else self.study.path.parent
-        return beside / self.task.data
+        return self._beside(self.task.data)
+
+    def _beside(self, path: str) -> Path:
+        return (Path() if self.study.path is None else self.study.path.parent) / path
 
     def write(self, folder: Path, result: Result) -> list[Path]:
         """Write identification.json, identification.csv (one row per unknown; `unit` is that of all its numbers but
@@ -142,6 +182,7 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
             "visibility": visibility,
             "remarks": list(result.remarks),
             "suspects": [asdict(one) for one in result.suspects],
+            "divisions": [asdict(one) | {"coarse": one.coarse} for one in result.divisions],
             "steps": result.steps,
             "converged": result.converged,
             "units": units,
@@ -174,6 +215,7 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
             f"{task.starts} with derivatives in every step of the searches, of which there are usually about "
             f"{USUAL_STEPS}",
             f"{task.samples} that check the intervals",
+            *(["some on finer links and with half the step"] if task.check_model else []),
             *self._of_correction(),
         ]
 
@@ -199,6 +241,10 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
         if name == "experiments":
             changed = {key: ", ".join(f"{of} {x:+g} (SI)" for of, x in one.items()) for key, one in value.items()}
             return "; ".join(f"{key}: {words}" for key, words in changed.items())
+        if name == "measured":
+            return ", ".join(
+                f"{key} ({one.data}{f' of {one.study}' if one.study else ''})" for key, one in value.items()
+            )
         if name == "bounds":
             return ", ".join(f"{error} {low:g} to {high:g} (SI)" for error, (low, high) in value.items())
         if name == "correction":
@@ -218,6 +264,11 @@ class IdentificationReport(TaskReport[IdentificationTask, Result]):
         if result.correction is not None and result.correction.status != "failed":
             figures["correction"] = correction_figure(self.study, result.correction)
         return figures
+
+
+def _things(study: Study) -> tuple[set[str], set[str]]:
+    """Names of links and joints."""
+    return {one.name for one in study.mechanism.links}, {one.name for one in study.mechanism.joints}
 
 
 def _sensor(one: Sensor, unit: str) -> str:

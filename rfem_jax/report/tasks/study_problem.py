@@ -4,6 +4,7 @@ Place in the pipeline: study as loaded -> **study_problem** -> the reports on ta
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from jax.typing import ArrayLike
 
@@ -11,9 +12,13 @@ from rfem_jax.description.study_file.study import Study
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.statics.designs import model_of_study
 from rfem_jax.simulation import Simulation
+from rfem_jax.simulation.stability import largest_stable_step
 from rfem_jax.tolerancing.problems.problem import Metric
 from rfem_jax.tolerancing.problems.simulated_problem import Problem
 from rfem_jax.tolerancing.problems.static_problem import StaticProblem
+from rfem_jax.tolerancing.refinement import refined, rfes_of
+
+MARGIN = 0.9  # of the largest stable step
 
 
 def build_problem(
@@ -30,3 +35,14 @@ def build_problem(
         rates, accelerations = (statics.rates, statics.accelerations) if statics.moves else (None, None)
         return StaticProblem(model, metrics, statics.positions, rates=rates, accelerations=accelerations)
     return Problem(Simulation.of(study, model=model, trials=trials), metrics)
+
+
+def stable_when_refined(study: Study, refinement: float) -> Study:
+    """The study with a method of one step for all meshes, stable on that of so many times as many sdes."""
+    model = model_of_study(study)
+    method = Simulation.of(study, model=model).chosen
+    if not method.implicit and method.step is not None:
+        finest = model_of_study(study, rfes=refined(rfes_of(model), refinement))
+        limit = largest_stable_step(finest, method, study.designed_drive)
+        method = replace(method, step=min(method.step, MARGIN * limit))
+    return replace(study, method=method)

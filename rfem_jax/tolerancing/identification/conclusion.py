@@ -6,6 +6,7 @@ Symbols: k unknowns, p parameters (with the sensors' faults), w searches.
 Source: theory (17.7) to (17.13).
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,6 +15,13 @@ import numpy as np
 from scipy.stats import norm
 
 from rfem_jax.description.tasks.identification import Sensors
+from rfem_jax.tolerancing.identification.discretisation_check import (
+    Division,
+    check_discretisation,
+    discretisation_remarks,
+    has_flexible_links,
+    too_coarse,
+)
 from rfem_jax.tolerancing.identification.fit_tests import SignalFit, tested
 from rfem_jax.tolerancing.identification.identification_result import Curve, Identification, ModeFound
 from rfem_jax.tolerancing.identification.levenberg_marquardt import Searches
@@ -43,13 +51,30 @@ from rfem_jax.tolerancing.identification.signals import signal
 from rfem_jax.tolerancing.identification.suspects import find_suspects, suspicion
 from rfem_jax.tolerancing.sampling.sequences import RandomKey
 
+NOT_CHECKED = (
+    "Whether links have enough rfes was not checked: with too few an estimate is off though the data are explained. "
+    "Refine them until it stays, or give the same machine on `finer` links."
+)
+# Numbers in other units, over those in SI units.
+UNITS = {
+    60.0 / (2.0 * np.pi): "it may be in revolutions per minute",
+    180.0 / np.pi: "it may be in degrees",
+    1e3: "it may be in a thousandth of the unit, as mm",
+    1e-3: "it may be in thousands of the unit, as kN",
+    1e6: "it may be in a millionth of the unit, as in micrometers or microstrains",
+    1.0 / 9.81: "it may be in multiples of g, or in kgf",
+    -1.0: "its sign may be the other one",
+}
+NEARLY, EXPLAINED = 0.2, 0.1  # of these factors; of what a signal leaves over
 COARSE = 0.3  # standard deviations of the noise: an error of interpolation that counts
 
 
 def conclude(
-    residuals: Residuals, searches: Searches, further: Sensors, confidence: float, samples: int, key: RandomKey
-) -> Identification:
-    """From the ends of the searches to the result; `further`: signals that were not measured, whose worth is told."""
+    residuals: Residuals, searches: Searches, further: Sensors, confidence: float, samples: int, key: RandomKey,
+    finer: Sequence[Any] | None = None, checked: bool = True,
+) -> Identification:  # fmt: skip
+    """From the ends of the searches to the result; `further`: signals that were not measured, whose worth is told;
+    `finer`: the problems with finer links, None without; `checked`: whether the discretisation is."""
     finite = np.isfinite(searches.misfit.cost)
     if not finite.any():
         return _without(residuals, searches, confidence, samples)
@@ -67,17 +92,23 @@ def conclude(
     normal = drawn is not None and far < DEPARTURE and drawn.effective >= max(LEAST_EFFECTIVE * samples, FEW)
     method = "laplace" if normal or drawn is None or drawn.effective < FEW else "importance"
     found = _interval(residuals, modes, drawn, method, confidence, searches.theta[best])
-    status = _status(searches, modes, signals, normal or method == "importance")
+    divisions = check_discretisation(residuals, searches, best, found["deviation"], finer) if checked and modes else ()
+    status = _status(searches, modes, signals, normal or method == "importance", divisions)
     suspects, untried = find_suspects(residuals, searches, best, signals)
     behind = suspicion(suspects, untried)
-    remarks = [*([behind] if behind else []), *_remarks(residuals, searches, modes, signals)]
+    curves = _curves(residuals, searches, best)
+    remarks = [*_unit_remarks(curves, signals), *([behind] if behind else [])]
+    remarks += _remarks(residuals, searches, modes, signals)
     remarks += _interval_remarks(method, normal, drawn, far, samples)
+    remarks += discretisation_remarks(divisions, residuals.prior.names)
+    if modes and finer is None and any(has_flexible_links(one.problem) for one in residuals.predictors):
+        remarks.append(NOT_CHECKED)
     return replace(
         _without(residuals, searches, confidence, samples), status=status, method=method,
         modes=tuple(ModeFound(residuals.prior.errors(m.theta[:k]), m.cost, m.probability) for m in modes),
         effective=0.0 if drawn is None else drawn.effective, departure=far, signals=tuple(signals), visibility=seen,
-        **_samples(residuals, drawn), curves=tuple(_curves(residuals, searches, best)), remarks=tuple(remarks),
-        suspects=suspects, **found,
+        **_samples(residuals, drawn), curves=tuple(curves), remarks=tuple(remarks),
+        suspects=suspects, divisions=divisions, **found,
     )  # fmt: skip
 
 
@@ -105,7 +136,9 @@ def _samples(residuals: Residuals, drawn: Sampled | None) -> dict[str, Any]:
     }
 
 
-def _status(searches: Searches, modes: list[Mode], signals: list[SignalFit], sampled: bool) -> str:
+def _status(
+    searches: Searches, modes: list[Mode], signals: list[SignalFit], sampled: bool, divisions: Sequence[Division]
+) -> str:
     if not searches.converged.any():
         return "not_converged"
     if not modes:
@@ -114,6 +147,8 @@ def _status(searches: Searches, modes: list[Mode], signals: list[SignalFit], sam
         return "misfit"
     if not sampled:
         return "uncertain"
+    if too_coarse(divisions):
+        return "coarse"
     return "ambiguous" if len(modes) > 1 else "ok"
 
 
@@ -238,6 +273,27 @@ def _remarks(residuals: Residuals, searches: Searches, modes: list[Mode], signal
                 f"The same errors with {'the opposite sign' if len(changed) == 1 else 'opposite signs'} of "
                 f"{', '.join(changed)} explain the data, too (probability {one.probability:.2g})."
             )
+    return found
+
+
+def _unit_remarks(curves: list[Curve], signals: list[SignalFit]) -> list[str]:
+    """Sentences about signals that do not fit as they are in another unit, of the other sign, or of no sensor."""
+    found = []
+    for curve, one in zip(curves, signals, strict=True):
+        y, expected = curve.measured, curve.before
+        if np.ptp(y) == 0.0:
+            found.append(
+                f"All samples of `{one.column}` are {y[0]:g}: a sensor that shows nothing else may not be connected."
+            )
+        elif one.verdict != "fits" and expected @ expected > 0.0:
+            ratio = float(expected @ y / (expected @ expected))
+            explained = np.sum((y - ratio * expected) ** 2) < EXPLAINED * np.sum((y - expected) ** 2)
+            near = min(UNITS, key=lambda factor: abs(ratio / factor - 1.0))
+            if explained and abs(ratio / near - 1.0) < NEARLY:
+                found.append(
+                    f"`{one.column}` is {ratio:.4g} times what the model shows: {UNITS[near]}; give numbers in "
+                    f"{one.unit or '1'}, with the signs of the model."
+                )
     return found
 
 

@@ -15,6 +15,7 @@ Source: theory (17.20), (17.21); A. Shapiro, D. Dentcheva, A. Ruszczynski, Lectu
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import jax.numpy as jnp
@@ -50,6 +51,7 @@ def correct(
     metric: str | Metric,
     adjustments: Bounds,
     *,
+    multiples_of: ErrorValues | None = None,
     limits: Mapping[str, Any] | None = None,
     at: ErrorValues | None = None,
     quantile: float = 0.95,
@@ -65,6 +67,8 @@ def correct(
         metric: what is to be less: a name, or a `Metric`.
         adjustments: {error or parameter: (least, largest change)} in rad or m, or strings with a unit: shims, turns;
             0, no change, lies within.
+        multiples_of: {adjustment: amount in rad or m, or a string with a unit}: it comes in whole multiples of that, as
+            shims do: the better ones of those on both sides of the best amounts, while others stay.
         limits: {metric: largest value, or (low, high)}, whose probabilities to be broken are told.
         at: {error: value} of errors that are known, as of `identify`.
         quantile: the metric is below `reached` with this probability.
@@ -83,12 +87,13 @@ def correct(
             "first."
         )
     machine = _read(problem, found, metric, adjustments, limits, at)
+    packs = _read_multiples(machine, multiples_of)
     nothing = np.zeros(len(machine.adjustments))
     before = machine.evaluate(nothing)
     ends, works = [(AS_IT_IS, nothing, True)], np.isfinite(before[:, machine.index])
     if works.any():
         seen = _representatives(before[:, machine.index], found.weights, points)
-        ends += _search(machine, found, seen, steps)
+        ends += [_in_multiples(machine, seen, packs, *end) for end in _search(machine, found, seen, steps)]
     outcomes = tuple(_outcome(machine, found, before, end, level) for end in ends)
     return Correction(
         metric=machine.problem.metrics[machine.index].name, unit=machine.problem.metrics[machine.index].unit,
@@ -239,6 +244,42 @@ def _minimise(
 
     end = minimise_within(function, start, most=steps, stationary=STATIONARY)
     return at(end.y), end.residual <= STATIONARY
+
+
+def _read_multiples(machine: _Machine, multiples_of: ErrorValues | None) -> Float[np.ndarray, " a"]:
+    """Amounts (a,) of which adjustments are whole multiples, 0 of those that are free. Raises: InputError."""
+    check_known(multiples_of or {}, machine.adjustments, "multiples_of")
+    known = read_point(machine.problem, multiples_of, "multiples_of")
+    for name, amount in known.items():
+        if not amount > 0.0:
+            raise InputError(
+                f"Argument `multiples_of` must give positive amounts, but `{name}` has {amount:g}; leave out an "
+                "adjustment that is free."
+            )
+    return np.array([known.get(name, 0.0) for name in machine.adjustments])
+
+
+def _in_multiples(
+    machine: _Machine, seen: Int[np.ndarray, " n"], packs: Float[np.ndarray, " a"],
+    name: str, amounts: Float[np.ndarray, " a"], converged: bool,
+) -> tuple[str, Float[np.ndarray, " a"], bool]:  # fmt: skip
+    """The adjustment with the multiples next to what was found, on either side, after which the mean over the samples
+    seen is least; free amounts stay."""
+    sides = []
+    for amount, pack, (low, high) in zip(amounts, packs, machine.bounds, strict=True):
+        next_to = {amount} if pack == 0.0 or amount == 0.0 else {k * pack for k in _whole(amount / pack)}
+        slack = 1e-9 * (high - low)
+        sides.append(sorted(one for one in next_to if low - slack <= one <= high + slack))
+    choices = np.array(list(product(*sides)))
+    means = machine.means(choices, seen)
+    best = int(np.argmin(np.where(np.isfinite(means), means, np.inf)))
+    return name, choices[best], converged
+
+
+def _whole(ratio: float) -> set[float]:
+    """Whole numbers on both sides of a number, the same one of what is whole but for rounding."""
+    near = round(ratio)
+    return {float(near)} if abs(ratio - near) < 1e-9 else {float(np.floor(ratio)), float(np.ceil(ratio))}
 
 
 def _outcome(

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from rfem_jax.labelled_data import Arrays, Labelled, LabelledResult, Parts, Table, column_name, named_dimension
 from rfem_jax.tolerancing.identification.correction_result import Correction, percent
+from rfem_jax.tolerancing.identification.discretisation_check import Division
 from rfem_jax.tolerancing.identification.experiments_compared import (
     Experiment,
     experiment_arrays,
@@ -35,6 +36,8 @@ STATUSES = {
     "found (an error that is no unknown, noise that is larger than given, outliers: see the signals)",
     "uncertain": "the posterior is not normal, and too few samples represent it: intervals are rough; take more "
     "`samples`",
+    "coarse": "the model is divided too coarsely for these data: with more rfes, shorter steps or more saved times the "
+    "errors found would move by more than half of a standard deviation (see below)",
     "ambiguous": "several different sets of errors explain the data; intervals are about the most probable one",
     "ok": "the model explains the data",
 }
@@ -178,6 +181,7 @@ class Identification(_OfVisibility):
     prior_precision (k, k): zero where the prior is flat;
     signals: `SignalFit`s; curves: `Curve`s; visibility: at the estimate; remarks: further sentences; steps: of the
     longest search; converged: searches, of `starts`; suspects: where the model does not fit, what would explain it;
+    divisions: how far the errors would move on a finer model, `Division`s, none where that was not checked;
     correction: what `correct` made of it, if a study asked for one.
     """
 
@@ -210,6 +214,7 @@ class Identification(_OfVisibility):
     starts: int
     converged: int
     suspects: tuple[Suspect, ...] = ()
+    divisions: tuple[Division, ...] = ()
     correction: Correction | None = None
 
     index = ("error",)

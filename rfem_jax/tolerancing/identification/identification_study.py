@@ -23,6 +23,7 @@ from rfem_jax.simulation.specification import Simulation
 from rfem_jax.tolerancing.checks import ErrorValues
 from rfem_jax.tolerancing.designs.sweep_study import Bounds, read_fixed
 from rfem_jax.tolerancing.identification.conclusion import conclude
+from rfem_jax.tolerancing.identification.discretisation_check import is_refined
 from rfem_jax.tolerancing.identification.experiments_compared import AS_GIVEN, experiment_told, shared_bases
 from rfem_jax.tolerancing.identification.identification_result import Identifiability, Identification
 from rfem_jax.tolerancing.identification.levenberg_marquardt import Searches, search
@@ -38,6 +39,7 @@ from rfem_jax.tolerancing.identification.prior import Prior, read_prior
 from rfem_jax.tolerancing.identification.residuals import Residuals
 from rfem_jax.tolerancing.identification.signals import signal
 from rfem_jax.tolerancing.problems.problem import ToleranceProblem
+from rfem_jax.tolerancing.problems.sample_values import Base
 from rfem_jax.tolerancing.problems.simulated_problem import Problem
 from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption
 from rfem_jax.tolerancing.sampling.sequences import RandomKey, unit_points
@@ -58,7 +60,7 @@ def identify(
     unknowns: Sequence[str] | None = None,
     prior: str = "tolerances",
     bounds: Bounds | None = None,
-    at: ErrorValues | None = None,
+    at: ErrorValues | Sequence[ErrorValues] | None = None,
     candidates: Mapping[str, Any] | None = None,
     time_shift: float | str = 0.0,
     loss: str = "gaussian",
@@ -67,6 +69,8 @@ def identify(
     iterations: int = 60,
     samples: int = 256,
     times: Any = None,
+    finer: Problems | None = None,
+    check_model: bool = True,
     key: RandomKey | None = None,
     progress: ProgressOption = False,
 ) -> Identification:
@@ -81,34 +85,54 @@ def identify(
         unknowns: names of errors, parameters and numbers of drives; None for all that have tolerances or bounds.
         prior: "tolerances": normal, with their means, standard deviations and correlations; or "flat".
         bounds: {error: (low, high)} in rad or m, or strings with a unit, which estimates do not leave.
-        at: {error: value} of errors that are known; all others are zero.
+        at: {error: value} of errors that are known, others are zero; or a list of them, one for each experiment.
         candidates: {column: Sensor(noise)} of further signals, whose worth at the estimate is told.
         time_shift: standard deviation [s], or a string with a unit, of the unknown delay of the clock of `data`.
         loss: "gaussian", or with outliers "huber" or "cauchy".
         confidence: of the intervals.
-        starts: searches; the first starts from the prior's mean, at which first derivatives may vanish by symmetry.
+        starts: searches, the first from the prior's mean, at which first derivatives may vanish by symmetry.
         iterations: the most steps of a search.
         samples: runs of the importance sampling that checks the intervals.
         times: (T,) [s], where the values of a problem are that is not simulated.
+        finer: the same problems with 2 n - 1 rfes for n of each flexible link, to check that these are enough; or None.
+        check_model: whether it is checked that steps, saved times and rfes are fine enough for the data.
         key: JAX random key of starts and samples; None for jax.random.key(0).
         progress: True, or a function of (done, total), steps of the searches.
-    Returns: the result, whose status says what failed, if anything did.
-    Raises: InputError for data that cannot be used, and for unknown names and bad numbers.
+    Returns: the result, whose status says what failed. Raises: InputError for data and arguments that cannot be used.
     """
+    _require_settings(loss, starts, iterations, samples)
+    level, key = fraction(confidence, "confidence"), jax.random.key(0) if key is None else key
+    problems, sensors, further = _as_list(problem), read_signals(signals), _further(candidates)
+    known, bases = _read_bases(problems, sensors, tolerances, unknowns, prior, bounds, at)
+    args = [*{**sensors, **further}], known.names
+    predictors = [Predictor(one, *args, base, times) for one, base in zip(problems, bases, strict=True)]
+    histories, refined = _histories(_as_list(data), sensors, len(problems)), _read_finer(finer, problems)
+    residuals = Residuals(known, predictors, histories, sensors, _shift(time_shift), loss)
+    with ProgressBar(progress, iterations, unit=SEARCH) as bar:
+        searches = _settle(residuals, _starts(residuals, key, starts), iterations, bar.advance)
+    return conclude(residuals, searches, further, level, samples, key, refined, check_model)
+
+
+def _require_settings(loss: str, starts: int, iterations: int, samples: int) -> None:
+    """Raises: InputError."""
     require_float64()
     require_choice(loss, LOSSES, "loss")
     for what, number, least in (("starts", starts, 1), ("iterations", iterations, 1), ("samples", samples, 16)):
         whole_number(number, what, least)
-    level, key = fraction(confidence, "confidence"), jax.random.key(0) if key is None else key
-    problems, sensors, further = _as_list(problem), read_signals(signals), _further(candidates)
-    known, fixed = _read_prior(problems[0], sensors, tolerances, unknowns, prior, bounds, at)
-    columns = list(dict.fromkeys((*sensors, *further)))
-    predictors = [Predictor(one, columns, known.names, fixed, times) for one in problems]
-    histories = _histories(_as_list(data), sensors, len(problems))
-    residuals = Residuals(known, predictors, histories, sensors, _shift(time_shift), loss)
-    with ProgressBar(progress, iterations, unit=SEARCH) as bar:
-        searches = _settle(residuals, _starts(residuals, key, starts), iterations, bar.advance)
-    return conclude(residuals, searches, further, level, samples, key)
+
+
+def _read_finer(finer: Problems | None, problems: list[Any]) -> list[Any] | None:
+    """Raises: InputError for problems that do not fit those of the experiments."""
+    if finer is None:
+        return None
+    found = _as_list(finer)
+    if len(found) != len(problems) or not all(map(is_refined, problems, found)):
+        raise InputError(
+            "Argument `finer` must be the same problems with twice as many spring-damping elements in every flexible "
+            f"link, one for each experiment, but is {found!r}; make their models by "
+            "`discretise(mechanism, {link: 2 * n - 1})`, with n the rfes of a link."
+        )
+    return found
 
 
 def _histories(data: list[Data], sensors: Sensors, experiments: int) -> list[list[History]]:
@@ -224,6 +248,22 @@ def _read_prior(problem, sensors, tolerances, unknowns, prior, bounds, at) -> tu
         problem = Problem(problem, [signal(one) for one in sensors])
     found = read_prior(problem, tolerances, unknowns, prior, bounds)
     return found, scaled_base(read_fixed(problem, at, found.names))
+
+
+def _read_bases(problems: list[Any], sensors, tolerances, unknowns, prior, bounds, at) -> tuple[Prior, list[Base]]:
+    """The prior, and the errors held fixed in each experiment; all name the same, so that they share programs."""
+    several = at if isinstance(at, (list, tuple)) else [at] * len(problems)
+    if len(several) != len(problems):
+        raise InputError(
+            f"Argument `at` must be as many as the experiments, but are {len(several)} for {len(problems)}; give one "
+            "of each, or one for all."
+        )
+    found = [
+        _read_prior(one, sensors, tolerances, unknowns, prior, bounds, own)
+        for one, own in zip(problems, several, strict=True)
+    ]
+    names = dict.fromkeys(name for _, fixed in found for name in fixed)
+    return found[0][0], [scaled_base({name: float(fixed.get(name, 0.0)) for name in names}) for _, fixed in found]
 
 
 def _prior_points(prior: Prior, key: RandomKey, n: int) -> Float[np.ndarray, "n k"]:

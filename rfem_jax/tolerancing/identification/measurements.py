@@ -120,6 +120,12 @@ def _table(path: Path) -> tuple[list[str], list[list[str]]]:
             f"Argument `data` must have commas between its columns, but `{path}` has other marks; write it with "
             "commas, and with points in decimal numbers."
         )
+    for number, row in enumerate(rows, start=2):
+        if any(cell.strip() for cell in row[len(header) :]):
+            raise InputError(
+                f"Argument `data` must have a name for every column, but row {number} of `{path}` has {len(row)} cells "
+                f"and the first row {len(header)}; name all, and write decimal numbers with points, not with commas."
+            )
     return header, rows
 
 
@@ -128,6 +134,12 @@ def _signals(
 ) -> dict[str, tuple[list[float], list[float]]]:
     """{column: (times, values)} of numbered rows, in which an empty cell is no sample."""
     _require_columns([TIME, *columns], header, f"`{path}`")
+    for name in (TIME, *columns):
+        if header.count(name) > 1:
+            raise InputError(
+                f"Argument `data` must have one column of a name, but `{path}` has `{name}` {header.count(name)} "
+                "times; keep the one that was measured."
+            )
     places = {name: header.index(name) for name in (TIME, *columns)}
     found: dict[str, tuple[list[float], list[float]]] = {name: ([], []) for name in columns}
     for number, row in rows:
@@ -189,6 +201,6 @@ def require_within(histories: Iterable[History], times: Float[np.ndarray, " T"],
         if one.times[0] < times[0] - slack or one.times[-1] > times[-1] + slack:
             raise InputError(
                 f"Argument `data` must lie within the simulated time of {times[0]:g} to {times[-1]:g} s, but "
-                f"`{one.column}` of experiment {number} goes from {one.times[0]:g} to {one.times[-1]:g} s; simulate a "
-                "longer time, or cut the samples off."
+                f"`{one.column}` of experiment {number} goes from {one.times[0]:.9g} to {one.times[-1]:.9g} s; give "
+                "seconds from the start of the simulation, simulate a longer time, or cut the samples off."
             )

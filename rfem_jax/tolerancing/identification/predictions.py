@@ -56,9 +56,13 @@ class Predictor:
         names: of the unknowns (k).
         base: errors held fixed.
         times: of the values of a problem that is not simulated.
+        lanes: points without derivatives at once on a device; None: as many as all studies take.
     """
 
-    def __init__(self, problem: Any, columns: Sequence[str], names: Sequence[str], base: Base, times: Any = None):
+    def __init__(
+        self, problem: Any, columns: Sequence[str], names: Sequence[str], base: Base, times: Any = None,
+        lanes: int | None = None,
+    ):  # fmt: skip
         if isinstance(problem, Simulation):
             problem = Problem(problem, [signal(one) for one in columns])
         if isinstance(problem, Problem):
@@ -72,7 +76,7 @@ class Predictor:
                 f"of the values of its metrics, or let `{TIME}` be one."
             )
         check_known(columns, known, "signals")
-        self.columns, self.names, self.base = tuple(columns), tuple(names), base
+        self.columns, self.names, self.base, self._lanes = tuple(columns), tuple(names), base, lanes
         self.rows = [known.index(one) for one in columns]
         self._clock = known.index(TIME) if times is None else 0
         self.given_times = self._times = None if times is None else np.asarray(times, dtype=float)
@@ -92,7 +96,7 @@ class Predictor:
             return _signals(shared, self.names, mine, divided(mesh, rows), derivatives, mesh)
 
         self._width = max(self._width, -(-len(points) // mesh.size)) if derivatives else self._width
-        width = self._width if derivatives else default_lanes()
+        width = self._width if derivatives else self._lanes or default_lanes()
         of = self.problem, ("signals", self.names, mine, derivatives)
         values, slopes, status = run_in_chunks(program, width * mesh.size, points, of=of)
         if self._times is None and (status == 0).any():

@@ -15,10 +15,22 @@ function identificationPage(task) {
     (result.samples || []).length && errors.length > 1 ? posteriorSection(result.samples, errors) : null,
     result.correction ? correctionSection(result.correction) : null,
     (result.signals || []).length ? section("How the signals are fitted", fitTable(result.signals)) : null,
+    (result.divisions || []).length ? section("Whether the model is fine enough", divisionTable(result.divisions, errors)) : null,
     (result.suspects || []).length ? section("What may be behind the misfit", suspectTable(result.suspects)) : null,
     result.visibility ? visibilitySection(result.visibility, errors) : null,
     (result.experiments || []).length ? experimentSection(result.experiments, errors) : null,
   ];
+}
+
+function divisionTable(divisions, errors) {
+  const words = { rfes: "rfes of links", step: "the method's step", save_every: "saved times" };
+  const numbers = (of) => Object.entries(of || {}).map(([link, n]) => (link ? `${showNumber(n, 4)} in ${link}` : `${showNumber(n, 3)} s`)).join(", ");
+  const columns = [
+    { label: "division", value: (row) => words[row.what] || row.what }, { label: "is", value: (row) => numbers(row.now) }, { label: "would do", value: (row) => (row.failed ? "\u2013" : numbers(row.wanted)) },
+    ...errors.map((one, i) => ({ label: one.error, title: "by how many standard deviations it would move on an infinitely fine model", value: (row) => (row.failed ? null : row.deviations[i]), show: (value) => (typeof value === "number" ? showNumber(value, 2) : "\u2013") })),
+    { label: "verdict", value: (row) => (row.failed ? `not known: ${row.failed}` : row.coarse ? "too coarse" : "fine enough") },
+  ];
+  return sortableTable("How far errors would move, in standard deviations, were it divided without end", columns, divisions, { id: "divisions" });
 }
 
 function suspectTable(suspects) {
