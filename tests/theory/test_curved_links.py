@@ -1,5 +1,7 @@
 """Curved and bent links against closed forms and beam finite elements."""
 
+from itertools import pairwise
+
 import jax
 import numpy as np
 import pytest
@@ -209,7 +211,7 @@ def ring_frequencies(count):
     size = 6 * (count + 1)
     stiffness, mass = np.zeros((size, size)), np.zeros((size, size))
     places = [ring_place(s) for s in np.linspace(0.0, 0.5 * np.pi * RADIUS, count + 1)]
-    for n, (a, b) in enumerate(zip(places, places[1:])):
+    for n, (a, b) in enumerate(pairwise(places)):
         length = np.linalg.norm(b - a)
         own, half = element_matrices(length, (b - a) / length, np.array([0.0, 1.0, 0.0]))
         at = slice(6 * n, 6 * n + 12)
