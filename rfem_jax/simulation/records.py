@@ -76,7 +76,7 @@ class SectionHistory(eqx.Module):
     x exerts; edge: stresses at points of the section's edge per unit of N, M_y, M_z and T, None if not known; modulus:
     Young's modulus [Pa]."""
 
-    place: Float[Array, "*times sections"]
+    place: Float[Array, "... sections"]
     resultants: Float[Array, "*times 6 sections"]
     edge: Float[Array, "4 points"] | Float[Array, "4 points sections"] | None
     modulus: Float[Array, ""] | None = None

@@ -24,19 +24,22 @@ STEPS = 6  # of Newton's method, which doubles the digits
 LOOKED_AT = 24  # places of each piece where the nearest one is looked for
 
 
+Values = Array | np.ndarray
+
+
 class CurvePoint(NamedTuple):
     """Places on a curve [m], unit tangents there, and angles [rad] by which sections are turned about them."""
 
-    position: Float[Array, " 3 *n"]
-    tangent: Float[Array, " 3 *n"]
-    roll: Float[Array, "*n"]
+    position: Float[Values, " 3 *n"]
+    tangent: Float[Values, " 3 *n"]
+    roll: Float[Values, "*n"]
 
 
 class Piece(NamedTuple):
     """One piece of a curve; length [m]."""
 
-    powers: Float[Array, "4 3"]
-    turns: Float[Array, "2 3"]
+    powers: Float[Values, "4 3"]
+    turns: Float[Values, "2 3"]
     angle: Any
     length: Any
 
@@ -45,11 +48,11 @@ class Curve(eqx.Module):
     """A curve of k pieces: edges [m], arc lengths at their ends; powers a_k, turns (b, c) and angle as above; rolls
     [rad] at their ends; even: whether all pieces are straight or arcs."""
 
-    edges: Float[Array, " ends"]
-    powers: Float[Array, "4 3 pieces"]
-    turns: Float[Array, "2 3 pieces"]
-    angles: Float[Array, " pieces"]
-    rolls: Float[Array, " ends"]
+    edges: Float[Values, " ends"]
+    powers: Float[Values, "4 3 pieces"]
+    turns: Float[Values, "2 3 pieces"]
+    angles: Float[Values, " pieces"]
+    rolls: Float[Values, " ends"]
     even: bool = eqx.field(static=True)
 
     @property
@@ -58,11 +61,11 @@ class Curve(eqx.Module):
         return self.edges[-1]
 
     @property
-    def end(self) -> Float[Array, "3"]:
+    def end(self) -> Float[Values, "3"]:
         """Its last place [m]."""
         return self.at(self.edges[-1:]).position[:, 0]
 
-    def at(self, s: Float[Array, " n"]) -> CurvePoint:
+    def at(self, s: Float[Values, " n"]) -> CurvePoint:
         """Places at arc lengths [m]."""
         xp = self._module(s)
         last = self.edges.shape[0] - 2
@@ -78,7 +81,7 @@ class Curve(eqx.Module):
         first, more = self.rolls[:-1] @ there, xp.diff(self.rolls) @ there
         return CurvePoint(position, rate / speed[None], first + more * share)
 
-    def nearest(self, places: Float[Array, "3 n"]) -> Float[Array, " n"]:
+    def nearest(self, places: Float[Values, "3 n"]) -> Float[Values, " n"]:
         """Arc lengths [m] of the places on the curve that are nearest to given ones."""
         xp = self._module(places)
         shares = np.arange(LOOKED_AT + 1) / LOOKED_AT

@@ -151,6 +151,7 @@ def _line_on_rfes(actual: ModelWithErrors, motion: Motion, line: LineLoad, load:
     point, linear, angular = (
         jnp.concatenate([zero, part[:, a:b]], axis=1) for part in (relative.position, relative.linear, relative.angular)
     )
+    extent = arms = zero
     if pieces is not None:
         if line.turning:
             force, lever = apply(rotation, pieces.force), apply(rotation, pieces.lever)
@@ -158,6 +159,7 @@ def _line_on_rfes(actual: ModelWithErrors, motion: Motion, line: LineLoad, load:
             force, lever = (apply_transposed(axes[..., None], part) for part in (pieces.force, pieces.lever))
         moment = cross(rotation[:, 0], lever)
     else:
+        assert actual.form is not None
         rests = jnp.concatenate([zero, actual.rest[:, a:b]], axis=1)
         given = load if line.turning else apply_transposed(axes[..., None], load)
         whole = length * edges[:-1], length * edges[1:]

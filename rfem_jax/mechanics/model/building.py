@@ -411,7 +411,7 @@ class _Links(NamedTuple):
     links: tuple[Link, ...]
     elements: tuple[int, ...]
 
-    def node(self, index: int, place: Sequence[float]) -> int:
+    def node(self, index: int, place: Sequence[Any]) -> int:
         """Node that holds a point of a link."""
         link, n = self.links[index], self.elements[index]
         x = place[0] if not link.axis or n == 1 else _along(link, place)
@@ -433,7 +433,7 @@ class _Links(NamedTuple):
         return _Attachment(self.node(index, place), not far)
 
 
-def _along(link: Link, place: Sequence[float]) -> float:
+def _along(link: Link, place: Sequence[Any]) -> float:
     """Length along the axis of a link [m] at the place on it that is nearest."""
     return float(link.curve.nearest(np.array(place, dtype=float)[:, None])[0])
 

@@ -21,7 +21,7 @@ from jaxtyping import Float, Int
 
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.basics.numbers import array_of, is_known, larger, smaller, traced
-from rfem_jax.description.mechanism.curves import Curve
+from rfem_jax.description.mechanism.curves import Curve, Values
 from rfem_jax.description.mechanism.links import Link
 from rfem_jax.description.mechanism.sections import SectionProperties, plane_names
 from rfem_jax.description.mechanism.stations import Span
@@ -38,10 +38,10 @@ DRAWN = 4  # points of a link to each of its sdes
 class Places(eqx.Module):
     """Places along links: position [m], unit tangent, roll [rad] of the section, and share of the link's length."""
 
-    position: Float[Array, "*q 3 n"]
-    tangent: Float[Array, "*q 3 n"]
-    roll: Float[Array, "*q n"]
-    share: Float[Array, "*q n"]
+    position: Float[Values, "*q 3 n"]
+    tangent: Float[Values, "*q 3 n"]
+    roll: Float[Values, "*q n"]
+    share: Float[Values, "*q n"]
 
 
 class Segments(eqx.Module):
@@ -49,10 +49,10 @@ class Segments(eqx.Module):
     [kg/m] and rotary [kg m], the section's inertia per length about its own axes."""
 
     places: Places
-    weight: Float[Array, "q n"]
-    compliance: Float[Array, "q 6 6 n"]
-    density: Float[Array, "q n"]
-    rotary: Float[Array, "q 3 3 n"]
+    weight: Float[Values, "q n"]
+    compliance: Float[Values, "q 6 6 n"]
+    density: Float[Values, "q n"]
+    rotary: Float[Values, "q 3 3 n"]
 
 
 class Form(eqx.Module):
@@ -70,10 +70,10 @@ class Form(eqx.Module):
     ends: Places
     segments: Segments
     bodies: Segments
-    seats: Float[Array, " joints"]
-    bores: Float[Array, " joints"]
-    masses: Float[Array, " masses"]
-    elements: dict[str, Float[Array, "2"]]
+    seats: Float[Values, " joints"]
+    bores: Float[Values, " joints"]
+    masses: Float[Values, " masses"]
+    elements: dict[str, Float[Values, "..."]]
 
 
 class Shaped(NamedTuple):
@@ -98,12 +98,13 @@ class ActualForm(eqx.Module):
     axes: Float[Array, "3 3 rfes"]
     hinge: int = eqx.field(static=True)
 
-    def at(self, link: int, s: Float[Array, " n"]) -> Shaped:
+    def at(self, link: int, s: Float[Values, " n"]) -> Shaped:
         """Places at lengths s [m] along a link that is as long as it is, undeformed, in its frame."""
         nominal = s / self.scale[link]
         found = self.curves[link].at(nominal)
-        places = Places(*map(jnp.asarray, found), nominal / self.length[link])
-        return shaped(places, *self.of_link(link, s.shape[0]), self.hinge)
+        places = Places(found.position, found.tangent, found.roll, nominal / self.length[link])
+        scale, bow, length = self.of_link(link, s.shape[0])
+        return shaped(places, scale, bow, length, self.hinge)
 
     def of_link(self, link: int, n: int) -> tuple[Array, Array, Array]:
         """Scale, bow and nominal length of one link n times, as `shaped` takes them."""
@@ -125,7 +126,7 @@ def shaped(
     angle = np.pi * places.share
     position = scaled(scale, places.position) + scaled(jnp.sin(angle), across)
     tangent = scaled(scale, places.tangent) + scaled(np.pi / length * jnp.cos(angle), across)
-    return Shaped(position, tangent, section_axes(tangent, places.roll, hinge))
+    return Shaped(position, tangent, section_axes(tangent, jnp.asarray(places.roll), hinge))
 
 
 def wave(share: Float[Array, " n"]) -> Float[Array, " n"]:
@@ -226,11 +227,20 @@ def form_of(
         for part, one in zip(parts, found, strict=True):
             part.append(one)
     origins, middles, sdes, begins, ends, segments, roots, others = parts
-    places = (_joined(some) for some in ([*origins, *middles], sdes, begins, ends))
-    integrals = (_joined(_padded(some)) for some in (segments, [*roots, *others]))
-    shares = [_shares(curves, links, some) for some in attached[:3]]
-    elements = {name: _shares(curves, links, some) for name, some in attached.elements.items()}
-    return jax.tree.map(lambda x: jnp.asarray(x, jnp.float64), Form(curves, *places, *integrals, *shares, elements))
+    form = Form(
+        curves=curves,
+        middles=_joined([*origins, *middles]),
+        sdes=_joined(sdes),
+        begins=_joined(begins),
+        ends=_joined(ends),
+        segments=_joined(_padded(segments)),
+        bodies=_joined(_padded([*roots, *others])),
+        seats=_shares(curves, links, attached.seats),
+        bores=_shares(curves, links, attached.bores),
+        masses=_shares(curves, links, attached.masses),
+        elements={name: _shares(curves, links, some) for name, some in attached.elements.items()},
+    )
+    return jax.tree.map(lambda x: jnp.asarray(x, jnp.float64), form)
 
 
 def require_turned(links: Sequence[Link], plane: str) -> None:
@@ -255,8 +265,9 @@ def hinge_of(plane: str) -> int:
     return 1 if plane == "xz" else 2
 
 
-def _places(curve: Curve, shares: Float[np.ndarray, " n"]) -> Places:
-    return Places(*curve.at(shares * curve.length), share=shares)
+def _places(curve: Curve, shares: Any) -> Places:
+    found = curve.at(shares * curve.length)
+    return Places(found.position, found.tangent, found.roll, shares)
 
 
 def _shares(curves: Sequence[Curve], links: Sequence[Link], attached: Sequence[tuple[int, Any]]) -> Any:
@@ -282,10 +293,11 @@ def segments_of(profile: Profile | None, curve: Curve, start: Any, stop: Any) ->
     sections, with negative weights where `stop` is smaller; without a profile without mass."""
     xp: Any = jnp if traced(jax.tree.leaves((curve, profile, start, stop))) else np
     parts, n = [], len(NODES)
-    for s, weight, span in _pieces(xp, profile, curve, start, stop):
-        found = profile.at(span, s.reshape(-1))
-        parts.append((s, weight, _per_length(xp, found, profile.plane, s.shape)))
-    if not parts:
+    if profile is not None:
+        for s, weight, span in _pieces(xp, profile, curve, start, stop):
+            found = profile.at(span, s.reshape(-1))
+            parts.append((s, weight, _per_length(xp, found, profile.plane, s.shape)))
+    else:
         nothing = np.zeros((n, start.shape[0]))
         parts = [(nothing, nothing, (np.zeros((n, 6, 6, nothing.shape[1])), nothing,
                                      np.zeros((n, 3, 3, nothing.shape[1]))))]  # fmt: skip
@@ -296,9 +308,9 @@ def segments_of(profile: Profile | None, curve: Curve, start: Any, stop: Any) ->
     return Segments(Places(position, tangent, at.roll.reshape(s.shape), s / curve.length), weight, *of_section)
 
 
-def _pieces(xp: Any, profile: Profile | None, curve: Curve, start: Any, stop: Any) -> Iterator[tuple[Any, Any, Span]]:
+def _pieces(xp: Any, profile: Profile, curve: Curve, start: Any, stop: Any) -> Iterator[tuple[Any, Any, Span]]:
     """Places (q, n) [m] and weights [m] of Gauss's points of all parts of a link, and the spans that these are in."""
-    for span in () if profile is None else profile.spans:
+    for span in profile.spans:
         for k in range(curve.angles.shape[0]):
             first = xp.maximum(span.begin, curve.edges[k])
             last = xp.maximum(first, xp.minimum(span.end, curve.edges[k + 1]))

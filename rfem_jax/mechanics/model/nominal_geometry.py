@@ -81,7 +81,7 @@ def geometry_of(model: Model) -> NominalGeometry:
 
 
 def _rest(
-    model: Model, middles: Sequence[Float[np.ndarray, " n"]], length: Float[np.ndarray, " links"]
+    model: Model, middles: Sequence[np.ndarray], length: Float[np.ndarray, " links"]
 ) -> Float[np.ndarray, " rfes *axes"]:
     if model.form is not None:
         return np.asarray(model.form.middles.position)[:, model.topology.n_links :].T
@@ -101,7 +101,7 @@ def offset(
 
 def axis_places(model: Model, link: int, shares: Float[np.ndarray, " points"]) -> Float[np.ndarray, "points 3"]:
     """Places [m] of a model, whose numbers must not be traced, at shares of a link's length, in its frame."""
-    if link not in model.topology.curved:
+    if model.form is None or link not in model.topology.curved:
         return float(model.length[link]) * shares[:, None] * np.eye(3)[:1]
     curve = jax.tree.map(np.asarray, model.form.curves[link])
     return np.asarray(curve.at(shares * curve.length).position).T

@@ -187,7 +187,7 @@ def _bowed(
     link = np.array([0 if node == BASE else topology.link_of(node) for node in nodes])
     on_link = np.array([node != BASE for node in nodes])
     curved = np.isin(link, topology.curved) & on_link
-    apart = wave(shares) - wave(_link_values(model.form.middles.share, np.maximum(np.array(nodes), 0)))
+    apart = wave(shares) - wave(_link_values(jnp.asarray(model.form.middles.share), np.maximum(np.array(nodes), 0)))
     across = _link_values(bow, link) * jnp.where(on_link, apart, 0.0)[None]
     longer = jnp.where(curved, _link_values(scale, link), 1.0)
     return jnp.concatenate([position[:1], position[1:] * longer[None] + across])
@@ -358,7 +358,7 @@ def _bodies(
         mass, axial = model.taper.mass * longer, model.taper.centre * longer
         slender = jnp.asarray(np.array([0.0, 1.0, 1.0]))[:, None] * (model.taper.spread * longer**3)[None]
         principal = slender + model.taper.rotary * longer[None]
-    beam_centre = _x_vectors(axial)
+    beam_centre, of_beam = _x_vectors(axial), None
     if bow is not None:
         mass, beam_centre, of_beam = _shaped_bodies(model, bow, scale)
 
@@ -381,7 +381,7 @@ def _bodies(
     def diagonal(entries):
         return jnp.asarray(vectors.IDENTITY)[:, :, None] * entries[:, None]
 
-    inertia = (diagonal(principal) if bow is None else of_beam) + steiner(mass, beam_centre - centre)
+    inertia = (diagonal(principal) if of_beam is None else of_beam) + steiner(mass, beam_centre - centre)
     added = diagonal(model.point_inertia) + steiner(model.point_mass, point - centre[:, holder])
     if model.point_products is not None:
         added = added + _off_diagonal(model.point_products)
@@ -442,7 +442,7 @@ def _node_fractions(topology: Topology) -> tuple[np.ndarray, np.ndarray, np.ndar
     return link.astype(int), share, middle
 
 
-def _spring_damping_elements(model: Model, length: Array) -> dict[str, Array]:
+def _spring_damping_elements(model: Model, length: Array) -> dict[str, Any]:
     """Rest position of every free rfe; stiffness, damping and lever arms of the sde on its left (theory (1.7),
     (1.8))."""
     topology = model.topology
@@ -478,11 +478,11 @@ def _shaped_elements(model: Model, bow: Array, length: Array, scale: Array) -> d
     inner[[a for a, b in topology.ranges if b > a]] = False
     before = jnp.where(inner[None], jnp.roll(rest, 1, axis=1), 0.0)
     sdes = shaped(form.sdes, *whole, hinge)
-    faces = (shaped(one, *whole, hinge).position for one in (form.begins, form.ends))
+    begin, end = (shaped(one, *whole, hinge).position for one in (form.begins, form.ends))
     count = np.array(topology.elements, dtype=float)[link] - 1.0
     return {
         "rest": rest,
-        "stiffness": sde_stiffness(form.segments, whole, (sdes.position, *faces), hinge),
+        "stiffness": sde_stiffness(form.segments, whole, (sdes.position, begin, end), hinge),
         "damping": _link_values(model.section.damping, link),
         "lever_left": sdes.position - before,
         "lever_right": sdes.position - rest,
