@@ -59,12 +59,18 @@ from rfem_jax.description.mechanism.point_forces import (
 )
 from rfem_jax.description.mechanism.points import Point
 from rfem_jax.description.mechanism.rigid_bodies import RigidBody
+from rfem_jax.description.mechanism.section_bases import SectionProperties
 from rfem_jax.description.mechanism.sections import (
+    AngleSection,
+    ChannelSection,
     Circle,
+    CompositeSection,
     GivenSection,
+    HollowRectangle,
+    ISection,
     Rectangle,
     Section,
-    SectionProperties,
+    TeeSection,
     Tube,
 )
 from rfem_jax.description.mechanism.stations import Station
@@ -85,13 +91,16 @@ from rfem_jax.description.study_file.study import Case, Study, load_study
 from rfem_jax.description.tasks.identification import Sensor
 
 __all__ = [
+    "AngleSection",
     "Automatic",
     "Base",
     "Bearing",
     "Case",
+    "ChannelSection",
     "Circle",
     "Clearance",
     "Compliance",
+    "CompositeSection",
     "Coupling",
     "DistributedForce",
     "Explicit",
@@ -103,6 +112,8 @@ __all__ = [
     "GeneralisedAlpha",
     "GivenDrive",
     "GivenSection",
+    "HollowRectangle",
+    "ISection",
     "InputError",
     "Joint",
     "JointForceFunction",
@@ -141,6 +152,7 @@ __all__ = [
     "Sensor",
     "Station",
     "Study",
+    "TeeSection",
     "Tube",
     "load_study",
     "nearest",
