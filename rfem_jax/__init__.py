@@ -20,14 +20,15 @@ from rfem_jax.lazy_names import lazy_names as _lazy_names
 
 _names = {
     "description": (
-        "AngleSection Automatic Base Bearing Case ChannelSection Circle Clearance Compliance CompositeSection Coupling "
-        "DistributedForce Explicit ForceFunction ForceRamp ForceTable GeneralisedAlpha GivenSection "
-        "HollowRectangle ISection InputError Joint JointForceFunction JointForceTable JointFriction "
-        "JointSpring Leapfrog Link Material Mechanism Method MomentFunction MomentRamp MomentTable Point "
-        "PointForce PointMass PointMoment PointSpring PointSpringFunction PointSpringTable "
+        "Automatic AxisPoint Base Bearing Case Circle Clearance Compliance Coupling DistributedForce Explicit "
+        "ForceFunction ForceRamp "
+        "ForceTable GeneralisedAlpha GivenSection InputError Joint JointForceFunction JointForceTable JointFriction "
+        "JointSpring Leapfrog Link Material Mechanism Method MomentFunction "
+        "MomentRamp MomentTable Point PointForce PointMass PointMoment PointSpring PointSpringFunction "
+        "PointSpringTable "
         "PrescribedDisplacements PrescribedFunction PrescribedRate PrescribedRunUp PrescribedSpeed "
-        "PrescribedSpinUp PrescribedTable Rectangle RigidBody RungeKutta4 Sensor Station Study TeeSection "
-        "Tube load_study"
+        "PrescribedSpinUp PrescribedTable Rectangle RigidBody RungeKutta4 Sensor Station Study Tube load_study "
+        "AngleSection ChannelSection CompositeSection HollowRectangle ISection TeeSection"
     ),
     "mechanics": (
         "AssemblyErrors Coordinates Design Model State STATUS assemble assembly_errors describe design designed "

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rfem_jax import (
+    AxisPoint,
     Circle,
     Compliance,
     Coupling,
@@ -85,6 +86,31 @@ def tapered_four_bar(**more):
         four_bar(**more), crank=[Station(section=thin)], coupler=[Station(0.2, thin), Station(section=BAR)],
         rocker=stepped,
     )  # fmt: skip
+
+
+def curved_four_bar(forces=(), **more):
+    """The four-bar with a rigid bent crank, an arc as its coupler, whose section is turned and has a step, and a rocker
+    with errors of form; masses beside the axes, loads along them."""
+    mechanism = four_bar(forces=[
+        DistributedForce("wind", "coupler", (30, -20, 50), axes="link"),
+        DistributedForce("ramp", "rocker", (5, 0, -20), (-40, 30, 70), begin=0.03, end=0.21),
+        PointForce("push", "coupler", (0.2, 0.01, 0.03), force=(3, 2, -4), axes="link"),
+        *forces,
+    ], **more)  # fmt: skip
+    crank, coupler, rocker = mechanism.links
+    bent = AxisPoint((0.06, 0.0, 0.02), radius=0.01), AxisPoint((0.12, 0.0, 0.0))
+    arc = AxisPoint((0.3, 0.0, 0.0), through=(0.14, 0.005, 0.03), roll=0.4)
+    flat = dataclasses.replace(BAR, width=0.006)
+    masses = [PointMass(0.05, (0.1, 0.01, 0.03), (1e-5, 2e-5, 3e-5))]
+    links = (
+        dataclasses.replace(crank, length=None, axis=bent),
+        dataclasses.replace(
+            coupler, length=None, axis=(arc,), section=flat, stations=[Station(0.11, after=Circle(0.008))],
+            point_masses=masses,
+        ),
+        dataclasses.replace(rocker, form_errors=True, section=flat, point_masses=[PointMass(0.03, (0.2, 0.0, 0.01))]),
+    )  # fmt: skip
+    return dataclasses.replace(mechanism, links=links)
 
 
 def three_link_loop():

@@ -39,6 +39,7 @@ from rfem_jax.description.drives.translations import (
     PrescribedRunUp,
     PrescribedSpeed,
 )
+from rfem_jax.description.mechanism.axes import AxisPoint
 from rfem_jax.description.mechanism.bases import Base
 from rfem_jax.description.mechanism.bearings import Bearing
 from rfem_jax.description.mechanism.clearance import Clearance
@@ -93,6 +94,7 @@ from rfem_jax.description.tasks.identification import Sensor
 __all__ = [
     "AngleSection",
     "Automatic",
+    "AxisPoint",
     "Base",
     "Bearing",
     "Case",

@@ -27,7 +27,7 @@ from jaxtyping import Float
 
 from rfem_jax.description.basics.errors import InputError, suggestion
 from rfem_jax.description.metrics.subjects import divided
-from rfem_jax.mechanics.algebra.vectors import dot
+from rfem_jax.mechanics.algebra.vectors import apply, dot
 from rfem_jax.mechanics.dynamics.base_loads import shaking_load
 from rfem_jax.mechanics.dynamics.loads import velocities
 from rfem_jax.mechanics.dynamics.point_paths import PointMotion
@@ -245,6 +245,12 @@ def deflection(actual: ModelWithErrors, instant: Placed, name: str, fraction: fl
     if rfe == 0:
         return jnp.zeros(3)
     k = first + rfe - 1
+    if actual.form is not None:
+        arms = (
+            actual.form.at(link, jnp.reshape(fraction * actual.form.whole(link), 1)).position[:, 0] - actual.rest[:, k]
+        )
+        turned = relative.rotation[:, :, k] - jnp.eye(3)
+        return relative.position[:, k] - actual.rest[:, k] + apply(turned, arms)
     arm = (fraction - middles[rfe]) * actual.beam_middle[link] / middles[0]
     along = jnp.asarray(np.eye(3)[0])
     moved = relative.position[:, k] - along * actual.rest[k]

@@ -42,6 +42,7 @@ from rfem_jax.mechanics.model.nominal_geometry import (
     geometry_of,
     moved,
     node_place,
+    offset,
     place,
 )
 from rfem_jax.simulation.vibration_matrices import (
@@ -49,6 +50,7 @@ from rfem_jax.simulation.vibration_matrices import (
     mass_matrices,
     nominal_constants,
     null_space_projection,
+    spring_matrices,
     unit_rows,
 )
 
@@ -98,13 +100,14 @@ class Vibration:
         self.mass, self.inverse_root = mass_matrices(constants, self.geometry.scale)
         self.size = 6 * len(constants.mass)
         stretch = deformation_rates(constants, self.topology) @ self.inverse_root
-        springs = constants.stiffness.T.reshape(-1)
+        springs, roots = spring_matrices(constants)
         damping = np.repeat(constants.damping, 6)
         self.rates = np.unique(constants.damping)
-        self.root, self.damping = sparse.diags(np.sqrt(springs)) @ stretch, damping
+        self.root, self.damping = roots @ stretch, damping
         # Stiffness matrices of the springs of each damping; most mechanisms have one.
         self.springs = [
-            (stretch.T @ sparse.diags(np.where(damping == rate, springs, 0.0)) @ stretch).tocsr() for rate in self.rates
+            (stretch.T @ (sparse.diags(np.where(damping == rate, 1.0, 0.0)) @ springs) @ stretch).tocsr()
+            for rate in self.rates
         ]
         self.before: list[np.ndarray | None] = [None] * len(self.rates)
         self.forces: dict[str, JointLaw | Friction] = {**(model.forces or {}), **(model.friction or {})}
@@ -401,7 +404,7 @@ class Vibration:
 
     def _constraints(self, placed: Placed) -> sparse.csr_matrix:
         """Sparse matrix G of all joints; rows: velocities over the longest link, and angular velocities."""
-        topology, n = self.topology, self.topology.n_links
+        topology = self.topology
         hinges = [topology.link_of_freedom[k] for k in self.held if topology.about_hinge(k)]
         rows, columns, blocks = [], [], []
         count = 0
@@ -416,9 +419,8 @@ class Vibration:
                 if node == BASE:
                     continue
                 link = topology.link_of(node)
-                along = self.geometry.rest[node - n] if node >= n else 0.0
                 rotation = placed.rotation[link]
-                arm = rotation.T @ (centre - placed.origin[link]) - [along, 0.0, 0.0]
+                arm = rotation.T @ (centre - placed.origin[link]) - offset(self.geometry, np.eye(3), node)
                 block = np.zeros((len(across) + len(fixed), 6))
                 block[: len(across), :3] = -across @ rotation @ cross_matrix(arm) / self.geometry.scale
                 block[: len(across), 3:] = across @ rotation / self.geometry.scale

@@ -8,7 +8,7 @@ Velocities w are six of every node (rfe) in the axes of its link: angular, then 
 import dataclasses
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -31,7 +31,8 @@ def _nominal(model: Model):
 
 class NodeConstants(NamedTuple):
     """Constants of `ModelWithErrors` for zero errors: mass (n,), centre (n, 3), inertia (n, 3, 3) of all nodes; rest,
-    damping, lever (N,) to the sde on the left, and stiffness (6, N) of the N free rfes."""
+    damping, lever (N,) to the sde on the left, and stiffness (6, N) of the N free rfes; with forms rest and lever are
+    vectors (N, 3), and the stiffness a matrix (6, 6, N)."""
 
     mass: np.ndarray
     centre: np.ndarray
@@ -49,10 +50,10 @@ def nominal_constants(model: Model) -> NodeConstants:
         mass=np.asarray(made.mass),
         centre=np.asarray(made.centre).T,
         inertia=np.moveaxis(np.asarray(made.inertia), 2, 0),
-        rest=np.asarray(made.rest),
+        rest=np.asarray(made.rest).T,
         stiffness=np.asarray(made.stiffness),
         damping=np.asarray(made.damping),
-        lever=np.asarray(made.lever_right),
+        lever=np.asarray(made.lever_right).T,
     )
 
 
@@ -88,19 +89,28 @@ def deformation_rates(constants: NodeConstants, topology: Topology) -> sparse.cs
     left = np.arange(n - 1, n + count - 1)
     first = [a for a, b in topology.ranges if b > a]
     left[first] = topology.link_of_rfe[first]
-    place_of = np.concatenate([np.zeros(n), constants.rest])
+    place_of = np.concatenate([np.zeros((n, *constants.rest.shape[1:])), constants.rest])
     sde = constants.rest + constants.lever
 
     def faces(node):
         blocks = np.zeros((count, 6, 6))
         arm = np.zeros((count, 3))
-        arm[:, 0] = sde - place_of[node]
+        arm[:, slice(3) if sde.ndim == 2 else 0] = sde - place_of[node]
         blocks[:, :3, :3] = -cross_matrix(arm)
         blocks[:, :3, 3:] = blocks[:, 3:, :3] = np.eye(3)
         shape = (6 * count, 6 * (n + count))
         return sparse.bsr_matrix((blocks, node, np.arange(count + 1)), shape=shape)
 
     return sparse.csr_matrix(faces(n + np.arange(count)) - faces(left))
+
+
+def spring_matrices(constants: NodeConstants) -> tuple[Any, Any]:
+    """Stiffness K (6 N, 6 N) of all springs, and R with R^T R = K, sparse."""
+    if constants.stiffness.ndim == 2:
+        springs = constants.stiffness.T.reshape(-1)
+        return sparse.diags(springs), sparse.diags(np.sqrt(springs))
+    blocks = np.moveaxis(constants.stiffness, 2, 0)
+    return _block_diagonal(blocks), _block_diagonal(np.linalg.cholesky(blocks).swapaxes(1, 2))
 
 
 def unit_rows(matrix: np.ndarray) -> np.ndarray:

@@ -110,7 +110,7 @@ class CompositeSection(OwnStiffness, NumberTree, ChecksItself):
         principal = np.linalg.eigvalsh([[y, yz], [yz, z]]).tolist()
         if principal[0] <= 0.0:
             raise InputError(
-                "Argument `rotary_inertia_yz` of CompositeSection must be less than the root of the product of those about "
+                "Argument `rotary_inertia_yz` of CompositeSection must be less than the geometric mean of those about "
                 f"y and z, but was {yz}; correct it."
             )
         require_triangle(

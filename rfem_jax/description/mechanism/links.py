@@ -33,8 +33,11 @@ from rfem_jax.description.basics.numbers import (
     number_vector,
     positive_number,
     read_number,
+    traced,
 )
-from rfem_jax.description.basics.units import Quantity, short
+from rfem_jax.description.basics.units import DERIVED, Quantity, short
+from rfem_jax.description.mechanism.axes import AxisPoint, curve_of, require_axis, require_curve
+from rfem_jax.description.mechanism.curves import Curve
 from rfem_jax.description.mechanism.materials import Material
 from rfem_jax.description.mechanism.rigid_bodies import RigidBody
 from rfem_jax.description.mechanism.section_bases import OwnStiffness, SectionProperties, require_triangle
@@ -51,6 +54,7 @@ from rfem_jax.description.mechanism.stations import (
 
 MOST_RFES = 1000
 _USUAL_RFES = 5
+SAME_LENGTH = 1e-9  # of the length that a copy of a link with an axis has
 GRADIENTS = ("temperature_gradient_y", "temperature_gradient_z")
 
 
@@ -101,7 +105,7 @@ class Link(NumberTree, ChecksItself):
 
     Args:
         name: a word, other than "base".
-        length: L [m], > 0.
+        length: L [m], > 0; of a link with an axis that along it, and left out.
         section: a Rectangle, a GivenSection or of another shape (a rigid link needs it for its mass, unless it has a
             body), of a link with stations that at its start.
         material: a Material; None with a section that states its own stiffnesses.
@@ -114,12 +118,17 @@ class Link(NumberTree, ChecksItself):
         thermal_expansion: alpha [1/K]; None: that of its material.
         temperature_gradient_y, temperature_gradient_z: how fast the temperature rises across a flexible link, along y
             and z of its frame [K/m], by which it bends without load.
+        stations: Station objects, where the section changes; their places are along the axis.
+        axis: AxisPoint objects, through which the axis of a link leads that is not straight, from the origin of its
+            frame; (): the axis is x.
+        smooth: True makes the axis the smooth curve through all points.
+        form_errors: True gives a straight flexible link errors of form, its bow.
     Raises:
         InputError: a value is out of range or of the wrong kind.
     """
 
     name: str
-    length: float
+    length: float = DERIVED
     section: Section | None = None
     material: Material | None = None
     rigid: bool = False
@@ -131,6 +140,9 @@ class Link(NumberTree, ChecksItself):
     temperature_gradient_y: Quantity | None = None
     temperature_gradient_z: Quantity | None = None
     stations: tuple[Station, ...] = ()
+    axis: tuple[AxisPoint, ...] = ()
+    smooth: bool = False
+    form_errors: bool = False
 
     numbers: ClassVar[Fields] = {
         "temperature": ("temperature", ANY),
@@ -142,7 +154,13 @@ class Link(NumberTree, ChecksItself):
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("name", require_name, "`name` of a link", ("base",))
         of = f"of link `{self.name}`"
-        checks.convert("length", positive_number, "length", f"`length` {of}")
+        checks.convert("axis", require_axis, of)
+        checks.convert("smooth", require_flag, f"`smooth` {of}")
+        checks.convert("form_errors", require_flag, f"`form_errors` {of}")
+        if self.axis:
+            checks.relation(("axis", "smooth"), self._take_axis, of)
+        else:
+            checks.convert("length", positive_number, "length", f"`length` {of}")
         if self.body is None:
             give = "give a rigid link one too, for its mass, or a `body`."
             checks.convert("section", require_instance, f"`section` {of}", SECTION_KINDS, give)
@@ -159,7 +177,8 @@ class Link(NumberTree, ChecksItself):
         checks.convert("rigid", require_flag, f"`rigid` {of}")
         checks.convert("rfes", _number_of_rfes, of)
         for name in GRADIENTS:
-            checks.relation(("rigid", "rfes", name), self._check_bends, name, of)
+            checks.relation(("rigid", "rfes", "axis", name), self._check_bends, name, of)
+        checks.relation(("rigid", "rfes", "axis", "smooth", "form_errors"), self._check_forms, of)
         checks.convert("point_masses", _masses, of)
         checks.convert("stations", require_stations, of)
         checks.relation(("length", "section", "body", "stations"), self._check_stations, of)
@@ -190,10 +209,42 @@ class Link(NumberTree, ChecksItself):
             )
 
     def _check_bends(self, name: str, of: str) -> None:
+        if getattr(self, name) is not None and self.axis:
+            raise InputError(
+                f"Argument `{name}` {of} must be left out where the link has an `axis`, along which it would change, "
+                f"but was {short(getattr(self, name))}; leave it out."
+            )
         if getattr(self, name) is not None and not self.flexible:
             raise InputError(
                 f"Argument `{name}` {of} must be left out where the link is rigid, as it does not bend, but was "
                 f"{short(getattr(self, name))}; make the link flexible, or leave it out."
+            )
+
+    def _take_axis(self, of: str) -> None:
+        """The length along the axis."""
+        if self.body is not None:
+            raise InputError(
+                f"Argument `axis` {of} must be left out where the link has a body, which has no axis, but was given; "
+                "remove one of the two."
+            )
+        require_curve(self.axis, self.smooth, of)
+        along, given = self.curve.length, self.length
+        if given is not None and not (is_known(given, along) and abs(given / along - 1.0) < SAME_LENGTH):
+            raise InputError(
+                f"Argument `length` {of} must be left out where `axis` says where the link leads, but was "
+                f"{short(given)}; remove it."
+            )
+        object.__setattr__(self, "length", along if traced(along) else float(along))
+
+    def _check_forms(self, of: str) -> None:
+        if self.smooth and not self.axis:
+            raise InputError(
+                f"Argument `smooth` {of} must be left out where there is no `axis`, but was True; give one."
+            )
+        if self.form_errors and (self.axis or not self.flexible):
+            raise InputError(
+                f"Argument `form_errors` {of} must be left out where the link is rigid or has an `axis`; of such an "
+                "axis its points may deviate."
             )
 
     def _check_stations(self, of: str) -> None:
@@ -255,6 +306,12 @@ class Link(NumberTree, ChecksItself):
         if self.section is None:
             return SectionProperties(**dict.fromkeys((field.name for field in fields(SectionProperties)), 0.0))
         return self.section.properties(self.material)
+
+    @property
+    def curve(self) -> Curve:
+        """Its axis, by the length along it."""
+        axis = self.axis or (AxisPoint((self.length, 0.0, 0.0)),)
+        return curve_of(axis, self.smooth and bool(self.axis))
 
     @property
     def spans(self) -> tuple[Span, ...]:

@@ -34,7 +34,7 @@ from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.links import Link
 from rfem_jax.description.mechanism.point_forces import PointLoad
 from rfem_jax.description.mechanism.points import NamedPoint, Point, named_points, read_points
-from rfem_jax.description.tolerances.error_catalogue import LINK_ERRORS, error_unit
+from rfem_jax.description.tolerances.error_catalogue import BOWS, LINK_ERRORS, error_unit
 
 Part = TypeVar("Part", Link, Joint, Force)
 
@@ -249,7 +249,7 @@ class Mechanism(NumberTree, ChecksItself):
     def error_names(self) -> tuple[str, ...]:
         """All names of errors of this mechanism: those of the joints, then those of the links."""
         joints = (f"{joint.name}.{error}" for joint in self.joints for error in joint_errors(KINDS[joint.kind]))
-        links = (f"{link.name}.{error}" for link in self.links for error in LINK_ERRORS)
+        links = (f"{link.name}.{error}" for link in self.links for error in _link_errors(link))
         return (*joints, *links)
 
     def error_unit(self, name: str) -> str:
@@ -462,3 +462,9 @@ def _check_reaches_base(name: str, parents: dict[str, Joint]) -> None:
                 "join one of its links to the base."
             )
         seen.append(name)
+
+
+def _link_errors(link: Link) -> tuple[str, ...]:
+    """Names of the errors of a link: one with an axis has no twist, which would be about x, and bows are of links with
+    errors of form."""
+    return (*(error for error in LINK_ERRORS if not link.axis or error != "twist"), *(BOWS if link.form_errors else ()))

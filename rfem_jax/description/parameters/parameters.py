@@ -196,8 +196,11 @@ def _fields(
 def _of_links(parts: Parts) -> Iterator[Parameter]:
     for i, link in enumerate(parts.links):
         owner, path = ("link", link.name), ("links", i)
-        yield _parameter(owner, "length", ("length", POSITIVE), [(*path, "length")])
+        if not link.axis:
+            yield _parameter(owner, "length", ("length", POSITIVE), [(*path, "length")])
         yield from _fields(owner, link, link.numbers, [path])
+        for n, point in enumerate(link.axis):
+            yield from _fields(owner, point, point.numbers, [(*path, "axis", n)], f"axis.{n + 1}.")
         if link.body is not None:
             yield from _of_body(owner, link.body, (*path, "body"))
         for n, mass in enumerate(link.point_masses, start=1):

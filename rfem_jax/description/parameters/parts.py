@@ -88,6 +88,14 @@ def _with_positions(joint: Joint) -> Joint:
     return joint
 
 
+def measured(parts: Parts) -> Parts:
+    """The parts with the lengths of links with an axis as they follow from it."""
+    if not any(link.axis for link in parts.links):
+        return parts
+    links = (link.with_fields(length=link.curve.length) if link.axis else link for link in parts.links)
+    return replace(parts, links=tuple(links))
+
+
 def number_at(whole: Any, path: Path) -> Any:
     """What stands at a path."""
     for step in path:

@@ -5,7 +5,8 @@ Place in the pipeline: `mechanism` lists the names of its errors, `study` checks
 
 Names: JOINT.delta_x, .delta_y, .delta_z [rad], .d_x, .d_y, .d_z [m] displace the joint's seat in its parent;
 JOINT.child.delta_x ... the bore in the child; JOINT.pin_tilt_x, .pin_tilt_z [rad] tilt one pin in
-both links (nothing stressed at the start angle); LINK.length [m]; LINK.twist [rad]. Which of them a joint has
+both links (nothing stressed at the start angle); LINK.length [m]; LINK.twist [rad]; LINK.bow_y, .bow_z [m], errors of
+form. Which of them a joint has
 depends on its kind (`joint_kinds`). Source: theory (2.3) to (2.5), (2.17).
 """
 
@@ -20,7 +21,8 @@ from rfem_jax.description.basics.joint_kinds import KINDS, joint_errors
 
 JOINT_ERRORS = {name: dimension for kind in KINDS.values() for name, dimension in joint_errors(kind).items()}
 LINK_ERRORS = {"length": "length", "twist": "angle"}
-_KNOWN = {**JOINT_ERRORS, **LINK_ERRORS}
+BOWS = ("bow_y", "bow_z")  # of links with errors of form
+_KNOWN = {**JOINT_ERRORS, **LINK_ERRORS, **dict.fromkeys(BOWS, "length")}
 _parameters: ContextVar[Mapping[str, str] | None] = ContextVar("parameters", default=MappingProxyType({}))
 
 

@@ -18,6 +18,7 @@ from rfem_jax.mechanics.algebra import vectors
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.kinematics.motion import Motion, all_frames, motion_of, node_frames
 from rfem_jax.mechanics.model.errors import AssemblyErrors
+from rfem_jax.mechanics.model.form import drawn
 from rfem_jax.mechanics.model.model import Coordinates, Model
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors, apply_errors
 
@@ -35,6 +36,9 @@ def _lines(actual: ModelWithErrors, motion: Motion) -> list[Float[Array, "_ 3"]]
     rotation, point = all_frames(topology, motion)
     for l, (a, b) in enumerate(topology.ranges):
         first, last = topology.n_links + a, topology.n_links + b
+        if actual.form is not None:
+            lines.append(_curved_line(actual, l, rotation, point))
+            continue
         if a == b:
             end = point[:, l] + 2.0 * actual.beam_middle[l] * rotation[:, 0, l]
             lines.append(jnp.stack([point[:, l], end]))
@@ -44,6 +48,20 @@ def _lines(actual: ModelWithErrors, motion: Motion) -> list[Float[Array, "_ 3"]]
         inner = point[:, first:last]
         lines.append(jnp.concatenate([point[:, l : l + 1], inner, tip[:, None]], axis=1).T)
     return lines
+
+
+def _curved_line(
+    actual: ModelWithErrors, link: int, rotation: Float[Array, "3 3 nodes"], point: Float[Array, "3 nodes"]
+) -> Float[Array, "_ 3"]:
+    """Points along a link with a form, carried by its rfes."""
+    topology, form = actual.topology, actual.form
+    assert form is not None
+    shares, rfes = drawn(topology.elements[link])
+    first = topology.n_links + topology.ranges[link][0] - 1
+    nodes = np.where(rfes == 0, link, first + rfes)
+    rest = jnp.concatenate([jnp.zeros((3, topology.n_links)), actual.rest], axis=1)
+    arm = form.at(link, shares * form.whole(link)).position - rest[:, nodes]
+    return (point[:, nodes] + vectors.apply(rotation[:, :, nodes], arm)).T
 
 
 class Shape(NamedTuple):
@@ -83,6 +101,11 @@ def link_ends(actual: ModelWithErrors, motion: Motion) -> tuple[Float[Array, "3 
     rotation, point = all_frames(topology, motion)
     # From a rigid link's origin the end is a whole length away, from a flexible link's last middle half an rfe.
     nodes = [l if a == b else topology.n_links + b - 1 for l, (a, b) in enumerate(topology.ranges)]
+    if actual.form is not None:
+        ends = [actual.form.at(l, jnp.reshape(actual.form.whole(l), 1)).position for l in range(topology.n_links)]
+        rest = jnp.concatenate([jnp.zeros((3, topology.n_links)), actual.rest], axis=1)
+        rotation, point = rotation[:, :, np.array(nodes)], point[:, np.array(nodes)]
+        return point + vectors.apply(rotation, jnp.concatenate(ends, axis=1) - rest[:, np.array(nodes)]), rotation
     distance = actual.beam_middle * np.array([2.0 if a == b else 1.0 for a, b in topology.ranges])
     rotation, point = rotation[:, :, np.array(nodes)], point[:, np.array(nodes)]
     return point + distance[None] * rotation[:, 0], rotation

@@ -21,9 +21,12 @@ from rfem_jax.mechanics.algebra import vectors
 from rfem_jax.mechanics.algebra.vectors import apply, apply_transposed, cross, product, product_transposed
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.forces.element_loads import FrameLoads
+from rfem_jax.mechanics.forces.shaped_lines import shaped_line
 from rfem_jax.mechanics.kinematics.motion import Motion
+from rfem_jax.mechanics.laws.clearances import clearance_name
+from rfem_jax.mechanics.model.form import bodies_of, point_inertia, segments_of
 from rfem_jax.mechanics.model.model import BASE, Model, State, rfe_fractions
-from rfem_jax.mechanics.model.with_errors import ModelWithErrors
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors, point_places
 
 COUPLED_ROWS = 12  # of the edge of a coupled section: stresses and shear stresses by six loads
 RIGID_PARTS = 8  # of a rigid link, at whose ends there are sections, too
@@ -91,6 +94,9 @@ def loads_of_sections(model: Model, actual: ModelWithErrors, state: State, now: 
         parts = []
         if n > 1:
             at_sdes = elasticity.section_loads(actual, state, now.motion.relative)[:, first : first + n - 1]
+            if actual.form is not None:
+                axes = actual.form.axes[:, :, first : first + n - 1]
+                at_sdes = jnp.concatenate([apply_transposed(axes, at_sdes[:3]), apply_transposed(axes, at_sdes[3:])])
             parts.append(((np.arange(n - 1) + 0.5) / (n - 1) * length, at_sdes))
         if sections:
             parts.append(_loads_at(model, actual, state, now, link, (bodies, attachments, sections)))
@@ -133,7 +139,7 @@ def _loads_at(
     if model.profiles is not None and model.profiles[link] is not None:
         # To its side of a step there, whose section it has.
         place = place + near * np.array([0.0 if one is None else 1.0 if one >= 0 else -1.0 for _, _, one in sections])
-    return place, _section_resultants(bodies.at(rfes), x, wrench)
+    return place, _section_resultants(_section_frames(actual, link, bodies.at(rfes), rfes, x), wrench)
 
 
 def stress_squares(
@@ -200,30 +206,43 @@ def _rfe_of(actual: ModelWithErrors, link: int, node: int) -> int | None:
 
 def _attachments(model: Model, actual: ModelWithErrors, now: Moving, link: int, bodies: _Bodies) -> list[_Attachment]:
     """All that acts on a link: joints, force elements, and the inertia and the weight of point masses."""
-    topology, attachments = actual.topology, []
+    topology, attachments, form = actual.topology, [], model.form
 
-    def add(node: int, x: Array, wrench: Array) -> None:
+    def add(node: int, x: Array, wrench: Array, share: Array | None = None) -> None:
         rfe = _rfe_of(actual, link, node)
         if rfe is not None:
+            if share is not None:
+                x = share * _length(actual, link) - _middles(actual, link, [rfe])[0]
             attachments.append(_Attachment(rfe, x, wrench))
 
     for j, wrench in enumerate(now.wrenches):
-        add(topology.parents[j], actual.seat_position[0, j], -wrench)
-        add(topology.children[j], actual.bore_position[0, j], wrench)
+        add(topology.parents[j], actual.seat_position[0, j], -wrench, None if form is None else form.seats[j])
+        add(topology.children[j], actual.bore_position[0, j], wrench, None if form is None else form.bores[j])
     if now.frame_loads is not None and actual.frame_forces is not None:
         for name, element in actual.frame_forces.elements.items():
             exerted = now.frame_loads.exerted[name]
             wrench = vectors.wrench_at_origin(exerted.moment, exerted.force, exerted.place)
-            add(element.child.node, element.child.position[0], wrench)
-            add(element.parent.node, element.parent.position[0], -wrench)
-    scale = _length(actual, link) / model.length[link]
+            one, other = _element_shares(model, name)
+            add(element.child.node, element.child.position[0], wrench, other)
+            add(element.parent.node, element.parent.position[0], -wrench, one)
+    masses = point_places(model, actual)
     for k, node in enumerate(topology.masses):
         rfe = _rfe_of(actual, link, node)
         if rfe is not None:
-            place = jnp.concatenate([model.point_position[:1, k] * scale[None], model.point_position[1:, k]])
-            load = _point_mass_load(model, actual, k, place, bodies.at([rfe]))
-            attachments.append(_Attachment(rfe, place[0], -load))
+            load = _point_mass_load(model, actual, k, masses[:, k], bodies.at([rfe]))
+            add(node, masses[0, k], -load, None if form is None else form.masses[k])
     return attachments
+
+
+def _element_shares(model: Model, name: str) -> tuple[Array | None, Array | None]:
+    """Shares of the links' lengths at both ends of a force element; None where no link has a form."""
+    if model.form is None:
+        return None, None
+    if name not in model.form.elements:  # the contact of a joint with a clearance
+        joint = next(j for j, joint in enumerate(model.topology.joints) if clearance_name(joint) == name)
+        return model.form.seats[joint], model.form.bores[joint]
+    shares = model.form.elements[name]
+    return (shares[0] if shares.shape[0] > 1 else None), shares[-1]
 
 
 def _point_mass_load(model: Model, actual: ModelWithErrors, k: int, place: Array, body: _Bodies) -> Array:
@@ -315,7 +334,9 @@ def _reference_positions(actual: ModelWithErrors, link: int, rfes: Sequence[int]
             places.append(jnp.zeros(()))
         else:
             last = rfe == n - 1
-            places.append(actual.beam_middle[link] if last else actual.lever_right[first + rfe - 1])
+            half = -0.5 * _length(actual, link) / (n - 1) if actual.form is not None else None
+            at_sde = actual.lever_right[first + rfe - 1] if half is None else half
+            places.append(actual.beam_middle[link] if last else at_sde)
     return jnp.stack(places)
 
 
@@ -350,6 +371,8 @@ def _piece_loads(
     """Rate of momentum minus weight of the pieces of beam between two places [m] on rfes, as wrenches (6, n) at the
     global origin; negative where the second place is smaller."""
     start, stop = piece
+    if actual.form is not None:
+        return _shaped_piece_loads(model, actual, link, bodies, rfes, piece)
     extent = stop - start
     mass = model.section.line_density[link] * extent
     middle, zero = 0.5 * (start + stop), jnp.zeros_like(start)
@@ -369,6 +392,31 @@ def _piece_loads(
     return _inertial_wrench(actual, bodies, mass, jnp.stack([middle, zero, zero]), inertia)
 
 
+def _shaped_piece_loads(
+    model: Model,
+    actual: ModelWithErrors,
+    link: int,
+    bodies: _Bodies,
+    rfes: Sequence[int],
+    piece: tuple[Array, Array],
+) -> Array:
+    """As `_piece_loads`, of a link with a form."""
+    form, profile = actual.form, None if model.profiles is None else model.profiles[link]
+    assert form is not None
+    scale, about = form.scale[link], _middles(actual, link, rfes)
+    parts = segments_of(profile, form.curves[link], *((x + about) / scale for x in piece))
+    mass, moment, inertia = bodies_of(parts, form.of_link(link, len(rfes)), _rests(actual, link, rfes), form.hinge)
+    there = mass != 0.0
+    centre = jnp.where(there[None], moment / jnp.where(there, mass, 1.0)[None], 0.0)
+    return _inertial_wrench(actual, bodies, mass, centre, inertia - point_inertia(mass, centre))
+
+
+def _rests(actual: ModelWithErrors, link: int, rfes: Sequence[int]) -> Float[Array, "3 sections"]:
+    """Reference points of rfes of a link with a form, undeformed, in its frame."""
+    first, _ = actual.topology.ranges[link]
+    return jnp.stack([jnp.zeros(3) if rfe == 0 else actual.rest[:, first + rfe - 1] for rfe in rfes], axis=1)
+
+
 def _line_loads(
     actual: ModelWithErrors,
     at_nodes: FrameLoads,
@@ -386,6 +434,13 @@ def _line_loads(
         if line.link != link:
             continue
         assert at_nodes.lines is not None
+        if actual.form is not None:
+            rests = _rests(actual, link, rfes)
+            force, moment, _ = shaped_line(
+                actual.form, line, at_nodes.lines[name], (start, stop), rests, bodies.rotation
+            )
+            total = total + vectors.wrench_at_origin(moment, force, bodies.point)
+            continue
         pieces = line.over(at_nodes.lines[name], start, stop, middle)
         force, lever = pieces.force, pieces.lever
         if line.turning:
@@ -397,12 +452,26 @@ def _line_loads(
 def _middles(actual: ModelWithErrors, link: int, rfes: Sequence[int]) -> Array:
     """Places [m] of the reference points of rfes along the undeformed link."""
     first, _ = actual.topology.ranges[link]
+    if actual.form is not None:
+        middles = rfe_fractions(actual.topology.elements[link])[1]
+        return _length(actual, link) * np.array([0.0 if rfe == 0 else middles[rfe] for rfe in rfes])
     return jnp.stack([jnp.zeros(()) if rfe == 0 else actual.rest[first + rfe - 1] for rfe in rfes])
 
 
-def _section_resultants(bodies: _Bodies, x: Array, wrench: Array) -> Array:
+def _section_frames(
+    actual: ModelWithErrors, link: int, bodies: _Bodies, rfes: Sequence[int], x: Array
+) -> tuple[Float[Array, "3 n"], Float[Array, "3 3 n"]]:
+    """Places and axes of sections in global axes."""
+    if actual.form is None:
+        return bodies.point + bodies.rotation[:, 0] * x[None], bodies.rotation
+    found = actual.form.at(link, x + _middles(actual, link, rfes))
+    arm = found.position - _rests(actual, link, rfes)
+    return bodies.point + apply(bodies.rotation, arm), product(bodies.rotation, found.axes)
+
+
+def _section_resultants(frames: tuple[Array, Array], wrench: Array) -> Array:
     """Wrenches (6, n) at the global origin as forces and moments (6, n) about the section's centre in its axes."""
-    place = bodies.point + bodies.rotation[:, 0] * x[None]
+    place, axes = frames
     force = wrench[3:]
     moment = wrench[:3] - cross(place, force)
-    return jnp.concatenate([apply_transposed(bodies.rotation, force), apply_transposed(bodies.rotation, moment)])
+    return jnp.concatenate([apply_transposed(axes, force), apply_transposed(axes, moment)])

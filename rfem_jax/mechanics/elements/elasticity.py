@@ -21,9 +21,16 @@ from jax import Array
 from jaxtyping import Float
 
 from rfem_jax.mechanics.algebra.reordering import reorder
-from rfem_jax.mechanics.algebra.vectors import apply_transposed, invert_block
+from rfem_jax.mechanics.algebra.vectors import apply_transposed, cross, invert_block
 from rfem_jax.mechanics.elements import exact_elements
-from rfem_jax.mechanics.elements.exact_elements import SpringBlocks, from_left, spring_blocks, to_left, unbent
+from rfem_jax.mechanics.elements.exact_elements import (
+    SpringBlocks,
+    from_left,
+    spring_blocks,
+    stress_of,
+    to_left,
+    unbent,
+)
 from rfem_jax.mechanics.kinematics.motion import RelativeMotion, relative_motion
 from rfem_jax.mechanics.model.model import Coordinates, State
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
@@ -91,7 +98,7 @@ def section_loads(actual: ModelWithErrors, state: State, relative: RelativeMotio
         deflected = exact_elements.deflections(actual, state.position.elastic[:3], relative)
         return exact_elements.section_loads(actual, deflected)
     stretch, rate = _linear_deflections(actual, state)
-    return actual.stiffness * (stretch + actual.damping[None] * rate)
+    return stress_of(actual, stretch + actual.damping[None] * rate)
 
 
 def wrenches_of_left(
@@ -110,6 +117,8 @@ def elastic_energy(actual: ModelWithErrors, position: Coordinates) -> Float[Arra
     """Energy of all springs [J]."""
     at_rest = State(position, jax.tree.map(jnp.zeros_like, position))
     stretch, _ = deflections(actual, at_rest)
+    if actual.topology.shaped:
+        return 0.5 * jnp.sum(stress_of(actual, stretch) * stretch, axis=(0, 1))
     return 0.5 * jnp.sum(actual.stiffness * stretch**2, axis=(0, 1))
 
 
@@ -130,6 +139,8 @@ def dissipated_power(actual: ModelWithErrors, state: State) -> Float[Array, ""]:
 
 
 def _dissipated(actual: ModelWithErrors, rate: Array) -> Array:
+    if actual.topology.shaped:
+        return jnp.sum(actual.damping[None] * stress_of(actual, rate) * rate, axis=(0, 1))
     return jnp.sum(actual.stiffness * actual.damping[None] * rate**2, axis=(0, 1))
 
 
@@ -144,16 +155,21 @@ def _linear_deflections(actual: ModelWithErrors, state: State) -> tuple[Array, A
 
 
 def _linear_forces(actual: ModelWithErrors, stretch: Array, rate: Array) -> Array:
-    stress = actual.stiffness * (stretch + actual.damping[None] * rate)
+    stress = stress_of(actual, stretch + actual.damping[None] * rate)
     on_right = -_face_transposed(stress, actual.lever_right)
     return on_right + to_left(actual, _face_transposed(stress, actual.lever_left))
 
 
 def _face(elastic: Array, lever: Array) -> Array:
-    """Motion of the face at x = lever from a rfe's middle: (u + phi x (lever, 0, 0), phi)."""
+    """Motion of the face at x = lever from a rfe's middle: (u + phi x (lever, 0, 0), phi); or at a vector from it."""
+    if lever.ndim == 2:
+        return jnp.concatenate([elastic[:3] + cross(elastic[3:], lever), elastic[3:]])
     return elastic + PHI_CROSS_LEVER[:, None] * lever[None] * reorder(elastic, EXCHANGED)
 
 
 def _face_transposed(stress: Array, lever: Array) -> Array:
-    """Wrench at the middle of a rfe that is equivalent to one at its face: (force, moment - force x (lever, 0, 0))."""
+    """Wrench at the middle of a rfe that is equivalent to one at its face: (force, moment - force x (lever, 0, 0)); or
+    with a vector to it."""
+    if lever.ndim == 2:
+        return jnp.concatenate([stress[:3], stress[3:] + cross(lever, stress[:3])])
     return stress + LEVER_CROSS_FORCE[:, None] * lever[None] * reorder(stress, EXCHANGED)

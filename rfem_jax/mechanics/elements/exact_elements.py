@@ -30,7 +30,7 @@ from jaxtyping import Float
 
 from rfem_jax.mechanics.algebra import vectors
 from rfem_jax.mechanics.algebra.reordering import reorder
-from rfem_jax.mechanics.algebra.vectors import cross, dot, product, transpose, transposed_product
+from rfem_jax.mechanics.algebra.vectors import apply, cross, dot, product, transpose, transposed_product
 from rfem_jax.mechanics.kinematics.motion import RelativeMotion
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
@@ -67,10 +67,11 @@ def deflections(actual: ModelWithErrors, u: Float[Array, "3 rfes"], relative: Re
     both = jnp.stack([right, from_left(actual, right)], axis=1)
     rotated = both[:9].reshape((3, 3, 2, n))
     rotation = rotated + identity[:, :, None]
-    levers = jnp.stack([actual.lever_right, actual.lever_left])[None]
-    arms = levers * rotation[:, 0]
+    levers = jnp.stack([actual.lever_right, actual.lever_left], axis=-2)
+    levers = levers if actual.topology.shaped else levers[None]
+    arms = _to_faces(levers, rotation)
     spin = both[12:15]
-    face = both[9:12] + levers * rotated[:, 0]
+    face = both[9:12] + _to_faces(levers, rotated)
     face_rate = both[15:] + cross(spin, arms)
 
     half, cosine = _half_rotation(rotation)
@@ -93,6 +94,16 @@ def deflections(actual: ModelWithErrors, u: Float[Array, "3 rfes"], relative: Re
         midway=midway,
         arms=arms,
     )
+
+
+def _to_faces(levers: Array, rotation: Array) -> Array:
+    """Arms (3, 2, N) from the middles of the right and the left rfe to their faces, at x or at vectors from them."""
+    return apply(rotation, levers) if levers.shape[0] == 3 else levers * rotation[:, 0]
+
+
+def stress_of(actual: ModelWithErrors, strain: Float[Array, "6 rfes"]) -> Float[Array, "6 rfes"]:
+    """Stress [N, N m] of the sdes by their stiffness, of deflections with their rates."""
+    return apply(actual.stiffness, strain) if actual.topology.shaped else actual.stiffness * strain
 
 
 def unbent(actual: ModelWithErrors, stretch: Float[Array, "6 rfes"]) -> Float[Array, "6 rfes"]:
@@ -140,6 +151,8 @@ def spring_blocks(
     inner = jnp.asarray(_is_inner(actual)[:, None, None])
 
     def block(one, other):
+        if actual.topology.shaped:
+            return jnp.einsum("bak,adk,cdk->kbc", one, actual.stiffness, other)
         return jnp.einsum("bak,ak,cak->kbc", one, actual.stiffness, other)
 
     by_left = jnp.roll(inner * block(left, left), -1, axis=0)
@@ -177,7 +190,7 @@ def section_loads(actual: ModelWithErrors, deflected: ExactDeflections) -> Float
 
 def _midway_loads(actual: ModelWithErrors, deflected: ExactDeflections) -> tuple[Array, Array, Array]:
     """Force and moment of every sde in the axes of M, and the moment of the force about either face."""
-    stress = actual.stiffness * (deflected.stretch + actual.damping[None] * deflected.rate)
+    stress = stress_of(actual, deflected.stretch + actual.damping[None] * deflected.rate)
     force, gap = stress[:3], deflected.stretch[:3]
     couple = _tangent(deflected.half, deflected.f, deflected.g, stress[3:])
     shared = 0.5 * cross(force, gap)  # by the rotation of the midway frame, which is half that of either side

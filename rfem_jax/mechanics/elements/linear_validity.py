@@ -14,6 +14,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
+from rfem_jax.mechanics.algebra.vectors import apply_transposed
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.kinematics.motion import total
 from rfem_jax.mechanics.model.model import Coordinates, State
@@ -41,18 +42,28 @@ def linear_range(actual: ModelWithErrors, position: Coordinates) -> LinearRange:
     if topology.exact or not topology.n_rfes:
         return LinearRange(jnp.zeros(()), jnp.zeros((0,)), jnp.zeros((0,)))
     actual, position = jax.lax.stop_gradient((actual, position))
-    phi = position.elastic[3:]
+    phi = _in_section(actual, position.elastic[3:])
     bending, turned = jnp.sum(phi[1:] ** 2, axis=0), jnp.sum(phi**2, axis=0)
     at_rest = State(position, jax.tree.map(jnp.zeros_like, position))
     stretch, _ = elasticity.deflections(actual, at_rest)
-    stress = actual.stiffness * stretch
+    stress = elasticity.stress_of(actual, stretch)
     lengths = -2.0 * actual.lever_right  # of the rfes, whose left ends are sdes
+    if topology.shaped:
+        lengths = 2.0 * jnp.sqrt(jnp.sum(actual.lever_right**2, axis=0))
+        stress, stretch = (
+            jnp.concatenate([_in_section(actual, one[:3]), _in_section(actual, one[3:])]) for one in (stress, stretch)
+        )
     weights = np.array([LEAST_BENDING, 1.0, 1.0, 1.0, 1.0, 1.0])[:, None]
     return LinearRange(
         rotation=ERROR_BY_ROTATION * jnp.max(jnp.sqrt(bending * turned)),
         shortening=total(topology, jnp.abs(stress[0]) * lengths * bending),
         stored=total(topology, jnp.sum(weights * stress * stretch, axis=0)),
     )
+
+
+def _in_section(actual: ModelWithErrors, vector: Array) -> Array:
+    """Vectors at the sdes in axes whose first one is along the link."""
+    return vector if actual.form is None else apply_transposed(actual.form.axes, vector)
 
 
 def linear_error(parts: LinearRange) -> Float[Array, ""]:

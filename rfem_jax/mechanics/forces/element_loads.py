@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from rfem_jax.mechanics.algebra import vectors
 from rfem_jax.mechanics.algebra.vectors import Scalar, apply, apply_transposed, cross, dot, product, scaled
+from rfem_jax.mechanics.forces.shaped_lines import shaped_line
 from rfem_jax.mechanics.kinematics.motion import Motion, node_frames
 from rfem_jax.mechanics.laws.frame_forces import START, FrameForce, Pose, Time, pose_between
 from rfem_jax.mechanics.laws.line_loads import LineLoad
@@ -141,24 +142,35 @@ def _line_on_rfes(actual: ModelWithErrors, motion: Motion, line: LineLoad, load:
     edges = np.concatenate([[0.0], np.cumsum(shares)])
     length = actual.beam_middle[link] / middles[0]
     at_start = np.array([0.0, *middles[1:]])  # the reference point of rfe 0 is the start of the link
-    pieces = line.over(load, length * edges[:-1], length * edges[1:], length * at_start)
+    pieces = None
+    if actual.form is None:
+        pieces = line.over(load, length * edges[:-1], length * edges[1:], length * at_start)
     axes, origin = motion.links.rotation[:, :, link], motion.links.point[:, link]
     rotation = jnp.concatenate([jnp.asarray(vectors.IDENTITY)[:, :, None], relative.rotation[:, :, a:b]], axis=2)
     zero = jnp.zeros((3, 1))
     point, linear, angular = (
         jnp.concatenate([zero, part[:, a:b]], axis=1) for part in (relative.position, relative.linear, relative.angular)
     )
-    if line.turning:
-        force, lever = apply(rotation, pieces.force), apply(rotation, pieces.lever)
+    if pieces is not None:
+        if line.turning:
+            force, lever = apply(rotation, pieces.force), apply(rotation, pieces.lever)
+        else:
+            force, lever = (apply_transposed(axes[..., None], part) for part in (pieces.force, pieces.lever))
+        moment = cross(rotation[:, 0], lever)
     else:
-        force, lever = apply_transposed(axes[..., None], pieces.force), apply_transposed(axes[..., None], pieces.lever)
-    moment = cross(rotation[:, 0], lever)
+        rests = jnp.concatenate([zero, actual.rest[:, a:b]], axis=1)
+        given = load if line.turning else apply_transposed(axes[..., None], load)
+        whole = length * edges[:-1], length * edges[1:]
+        force, moment, (extent, arms) = shaped_line(actual.form, line, given, whole, rests, rotation)
     of_link = motion.links.velocity[:, link]
     spin = apply_transposed(axes, of_link[:3])[:, None]
     at_origin = apply_transposed(axes, of_link[3:] + cross(of_link[:3], origin))[:, None]
     power = dot(force, at_origin + cross(spin, point) + linear) + dot(moment, spin + angular)
-    loaded = point + scaled(pieces.middle - length * at_start, rotation[:, 0])
-    middle = jnp.sum(scaled(pieces.extent, loaded), axis=1) / (line.end - line.begin)[None]
+    if pieces is not None:
+        loaded = point + scaled(pieces.middle - length * at_start, rotation[:, 0])
+        middle = jnp.sum(scaled(pieces.extent, loaded), axis=1) / (line.end - line.begin)[None]
+    else:
+        middle = jnp.sum(scaled(extent, point) + arms, axis=1) / (line.end - line.begin)[None]
     about = jnp.sum(moment + cross(point - middle[:, None], force), axis=1)
     all_force, about, middle = (apply(axes, part) for part in (jnp.sum(force, axis=1), about, middle))
     return _OnRfes(force, moment, jnp.sum(power), Exerted(all_force, about, origin + middle, jnp.zeros(3)))

@@ -78,8 +78,7 @@ def link_operators(
 def _link_operators(actual, q_factor, v_factor):
     topology, n = actual.topology, actual.topology.n_links
     springs = elasticity.stiffness_blocks(actual)
-    zeros = jnp.zeros_like(actual.rest)
-    middle = jnp.stack([actual.rest, zeros, zeros])
+    middle = _rest(actual)
     bodies = _rigid_bodies(actual, actual.centre[:, n:], actual.inertia[:, :, n:], middle)
 
     def operator(l, a, b):
@@ -89,6 +88,14 @@ def _link_operators(actual, q_factor, v_factor):
         return _condense(*stiffness, coupling, rigid, interfaces=local_interfaces(topology, l))
 
     return tuple(operator(l, a, b) if b > a else None for l, (a, b) in enumerate(topology.ranges))
+
+
+def _rest(actual: ModelWithErrors) -> Float[Array, "3 rfes"]:
+    """Reference points of the free rfes of undeformed links."""
+    if actual.topology.shaped:
+        return actual.rest
+    zeros = jnp.zeros_like(actual.rest)
+    return jnp.stack([actual.rest, zeros, zeros])
 
 
 class _RigidBodies(NamedTuple):
@@ -134,8 +141,7 @@ def present_operators(
     """`link_operators` of geometrically exact elements at the present deflection."""
     actual, relative = jax.lax.stop_gradient((actual, relative))
     topology = actual.topology
-    zeros = jnp.zeros_like(actual.rest)
-    u = relative.position - jnp.stack([actual.rest, zeros, zeros])
+    u = relative.position - _rest(actual)
     springs = exact_elements.stiffness_blocks(actual, u, relative)
     rotated = product(relative.rotation, actual.inertia[:, :, topology.n_links :])
     inertia = product_transposed(rotated, relative.rotation)

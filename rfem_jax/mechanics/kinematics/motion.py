@@ -130,7 +130,7 @@ def relative_motion(actual: ModelWithErrors, position: Coordinates, velocity: Co
     axes = {0: a, middle: (a, b, c)[middle], last: jnp.broadcast_to(vectors.IDENTITY[last][:, None], phi.shape)}
     about_last, about_middle, about_x = (scaled(rate[axis], axes[axis]) for axis in (last, middle, 0))
     about_both = about_last + about_middle
-    rest = scaled(actual.rest, vectors.IDENTITY[0][:, None])
+    rest = actual.rest if actual.topology.shaped else scaled(actual.rest, vectors.IDENTITY[0][:, None])
     return RelativeMotion(
         rotation=jnp.stack([a, scaled(sx, c) + scaled(cx, b), scaled(cx, c) - scaled(sx, b)], axis=1),
         position=rest + u,

@@ -5,7 +5,7 @@ Place in the pipeline: description -> **building** -> discretisation.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -33,6 +33,7 @@ from rfem_jax.mechanics.laws.joint_laws import JointLaw, joint_law
 from rfem_jax.mechanics.laws.joint_springs import CompliantSpring, compliant_spring
 from rfem_jax.mechanics.laws.line_loads import LineLoad, line_load
 from rfem_jax.mechanics.laws.point_laws import load_at, spring_between
+from rfem_jax.mechanics.model.form import Attached, form_of, require_turned
 from rfem_jax.mechanics.model.model import BASE, CarriedPoint, Model, Sections, Topology, rfe_fractions
 from rfem_jax.mechanics.model.named_points import with_named_points
 from rfem_jax.mechanics.model.orientations import quaternion_of_angles
@@ -78,6 +79,7 @@ def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], 
     masses = [(i, mass) for i, link in enumerate(links) for mass in _masses_of(link)]
     acted = _force_nodes(mechanism, discretised)
     ideal = [one for one in mechanism.couplings if one.ideal]
+    shaped = any(link.axis or link.form_errors for link in links)
     followed = (
         (one.name, (discretised.attach(one.link, one.place, False).node,))
         for one in parts.points
@@ -95,7 +97,7 @@ def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], 
         child_at_end=tuple(c.at_end for c in children),
         elements=discretised.elements,
         drives=tuple(_coordinate(joints, *motion) for motion in mechanism.driven_motions),
-        masses=tuple(discretised.node(i, float(mass.position[0])) for i, mass in masses),
+        masses=tuple(discretised.node(i, [float(x) for x in mass.position]) for i, mass in masses),
         minimum_norm=mechanism.redundant_reactions == MINIMUM_NORM,
         exact=exact,
         holders=tuple(sorted({node for _, nodes in acted for node in nodes if node >= len(links)})),
@@ -105,9 +107,12 @@ def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], 
         plane=mechanism.plane,
         massless=tuple(i for i, link in enumerate(links) if link.mass == 0.0),
         ideal=tuple(one.name for one in ideal),
-        stations=_stations(links, discretised) if any(link.stations for link in links) else (),
+        stations=_stations(links, discretised) if any(link.stations for link in links) or shaped else (),
         coupled=tuple(sorted({_coordinate(joints, *motion) for one in ideal for motion in one.coordinates})),
+        shaped=shaped,
+        curved=tuple(i for i, link in enumerate(links) if link.axis),
     )
+    require_turned(links, mechanism.plane)
     return PartStructure(topology, (*acted, *followed), any(any(mass.products) for _, mass in masses))
 
 
@@ -129,7 +134,7 @@ def arrays_of(parts: Parts, structure: PartStructure) -> Model:
     joints = [parts.joint(name) for name in topology.joints]
     seats = zip(joints, topology.parents, strict=True)
     bores = zip(joints, topology.children, strict=True)
-    masses = [mass for link in links for mass in _masses_of(link)]
+    masses = _all_masses(links)
     held = zip(topology.masses, masses, strict=True)
     start = [_start(j, topology.kind(l)) for l, j in enumerate(joints[: len(links)])]
     model = Model(
@@ -160,12 +165,44 @@ def arrays_of(parts: Parts, structure: PartStructure) -> Model:
         shaking_point=None if parts.shaking_point is None else _array(parts.shaking_point),
         curvature=_curvatures(links),
     )
-    profiles = tuple(profile_of(link, parts.plane) for link in links)
-    if any(profiles):
+    profiles = tuple(profile_of(link, parts.plane, topology.shaped) for link in links)
+    if topology.shaped:
+        attached = _attached(parts, topology, links, joints, points)
+        form = form_of(links, parts.plane, [rfe_fractions(n) for n in topology.elements], attached)
+        model = replace(model, profiles=profiles, form=form)
+    elif any(profiles):
         ends = [np.cumsum([0.0, *rfe_fractions(n)[0]]) for n in topology.elements]
         model = replace(model, profiles=profiles, taper=taper_of(links, ends, parts.plane))
     model = with_named_points(model, [one.name for one in parts.points if isinstance(one, NamedPoint)])
     return _with_clearances(model, joints) if topology.clearances else model
+
+
+def _attached(
+    parts: Parts, topology: Topology, links: Sequence[Link], joints: Sequence[Joint], points: ForceNodes
+) -> Attached:
+    """What is fixed to links whose forms count."""
+
+    def held(node: int, position: Sequence[Number] | None, at_end: bool) -> tuple[int, Any]:
+        if node == BASE:
+            return BASE, None
+        index = topology.link_of(node)
+        return index, _place_on(links[index], position, at_end)
+
+    nodes = dict(points)
+    return Attached(
+        [held(node, joint.position, True) for joint, node in zip(joints, topology.parents, strict=True)],
+        [held(node, joint.child_position, joint.cut) for joint, node in zip(joints, topology.children, strict=True)],
+        [held(node, mass.position, False) for node, mass in zip(topology.masses, _all_masses(links), strict=True)],
+        {
+            force.name: [held(node, place, False) for node, (_, place) in zip(nodes[force.name], force.ends())]
+            for force in parts.forces
+            if isinstance(force, AtPoint | BetweenPoints)
+        },
+    )
+
+
+def _all_masses(links: Sequence[Link]) -> list["_Mass"]:
+    return [mass for link in links for mass in _masses_of(link)]
 
 
 def reaction_length(parts: Parts) -> Array:
@@ -340,12 +377,25 @@ def _node_place(
     if node == BASE:
         return [0.0, 0.0, 0.0] if position is None else list(position)
     index = topology.link_of(node)
-    x, y, z = (links[index].length if at_end else 0.0, 0.0, 0.0) if position is None else position
+    x, y, z = _place_on(links[index], position, at_end)
     if node < topology.n_links:
         return [x, y, z]
     first = topology.ranges[index][0]
-    middle = rfe_fractions(topology.elements[index])[1][node - topology.n_links - first + 1]
-    return [x - float(middle) * links[index].length, y, z]
+    middle = float(rfe_fractions(topology.elements[index])[1][node - topology.n_links - first + 1])
+    if links[index].axis:
+        curve = links[index].curve
+        about = curve.at(array_of([middle * curve.length])).position
+        return [x - about[0, 0], y - about[1, 0], z - about[2, 0]]
+    return [x - middle * links[index].length, y, z]
+
+
+def _place_on(link: Link, position: Sequence[Number] | None, at_end: bool) -> Sequence[Number]:
+    """A place in a link's frame [m]; None: its end (`at_end`) or its start."""
+    if position is not None:
+        return position
+    if at_end and link.axis:
+        return link.axis[-1].to
+    return (link.length if at_end else 0.0, 0.0, 0.0)
 
 
 class _Attachment(NamedTuple):
@@ -361,9 +411,10 @@ class _Links(NamedTuple):
     links: tuple[Link, ...]
     elements: tuple[int, ...]
 
-    def node(self, index: int, x: float) -> int:
+    def node(self, index: int, place: Sequence[float]) -> int:
         """Node that holds a point of a link."""
         link, n = self.links[index], self.elements[index]
+        x = place[0] if not link.axis or n == 1 else _along(link, place)
         edge = np.clip(x / link.length * (n - 1) + 0.5, 0, n - 1)
         i = 0 if n == 1 else int(min(edge, n - 1))
         if i == 0:
@@ -376,8 +427,15 @@ class _Links(NamedTuple):
             return _Attachment(BASE, False)
         index = [link.name for link in self.links].index(owner)
         link = self.links[index]
-        x = (link.length if at_end else 0.0) if position is None else position[0]
-        return _Attachment(self.node(index, x), abs(x - link.length) <= 1e-12 * link.length)
+        place = _place_on(link, position, at_end)
+        end = link.axis[-1].to if link.axis else (link.length,)
+        far = max(abs(x - y) for x, y in zip(place, end)) > 1e-12 * link.length
+        return _Attachment(self.node(index, place), not far)
+
+
+def _along(link: Link, place: Sequence[float]) -> float:
+    """Length along the axis of a link [m] at the place on it that is nearest."""
+    return float(link.curve.nearest(np.array(place, dtype=float)[:, None])[0])
 
 
 def _require_first_rfes(joints: Sequence[Joint], children: Sequence[_Attachment]) -> None:

@@ -19,7 +19,7 @@ from rfem_jax.compilation.naming import Names
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.basics.errors import InputError, suggestion
 from rfem_jax.description.basics.units import quantity
-from rfem_jax.description.tolerances.error_catalogue import error_dimension
+from rfem_jax.description.tolerances.error_catalogue import BOWS, error_dimension
 from rfem_jax.mechanics.algebra.reordering import rows
 from rfem_jax.mechanics.model.model import Model, Topology
 from rfem_jax.mechanics.model.planar_loops import require_closable
@@ -43,7 +43,8 @@ class AssemblyErrors(eqx.Module):
 
     seat, bore: (delta_x, delta_z [rad], d_x, d_y, d_z [m]) of every joint in its parent and child, and delta_y
     [rad] last where any joint may have it (`Topology.error_components`); pin: tilts [rad] about x and z of a crooked
-    pin, on both sides at once; length [m] and twist [rad] of every link; parameters: deviations of numbers of the
+    pin, on both sides at once; length [m] and twist [rad] of every link; bow [m] along y and z of every link,
+    None where no link has errors of form; parameters: deviations of numbers of the
     description from their values [SI units], by their full names, which `designed` adds to these; None without any.
     owners: whose errors these are, so that no other mechanism takes them for its own.
     """
@@ -53,6 +54,7 @@ class AssemblyErrors(eqx.Module):
     pin: Float[Array, "2 joints"]
     length: Float[Array, " links"]
     twist: Float[Array, " links"]
+    bow: Float[Array, "2 links"] | None = None
     parameters: dict[str, Float[Array, ""]] | None = None
     owners: Owners | None = eqx.field(static=True, default=None)
 
@@ -74,7 +76,7 @@ def assembly_errors(model: Model, values: Mapping[str, ArrayLike | str] | None =
         "pin": np.zeros((2, n_joints)),
         "length": np.zeros(n_links),
         "twist": np.zeros(n_links),
-    }
+    } | ({"bow": np.zeros((2, n_links))} if topology.bowed else {})
     traced, deviations = [], {}
     _require_closable(model, values or {})
     for name, value in (values or {}).items():
@@ -93,7 +95,7 @@ def assembly_errors(model: Model, values: Mapping[str, ArrayLike | str] | None =
             parts[part][place] = value
     arrays = {part: jnp.asarray(values, jnp.float64) for part, values in parts.items()}
     errors = AssemblyErrors(
-        arrays["seat"], arrays["bore"], arrays["pin"], arrays["length"], arrays["twist"],
+        arrays["seat"], arrays["bore"], arrays["pin"], arrays["length"], arrays["twist"], arrays.get("bow"),
         owners=Owners(topology.joints, topology.links),
     )  # fmt: skip
     errors = _insert(errors, *zip(*traced)) if traced else errors
@@ -193,6 +195,8 @@ def _locate(topology: Topology, name: str, about: str) -> tuple[str, int | tuple
             f"{about or suggestion(name, topology.error_names)}"
         )
     owner, *middle, kind = name.split(".")
+    if kind in BOWS:
+        return "bow", (BOWS.index(kind), topology.links.index(owner))
     if kind in ("length", "twist"):
         return kind, topology.links.index(owner)
     joint = topology.joints.index(owner)

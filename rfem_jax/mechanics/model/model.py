@@ -40,6 +40,7 @@ from rfem_jax.mechanics.laws.joint_laws import JointLaw
 from rfem_jax.mechanics.laws.joint_springs import CompliantSpring
 from rfem_jax.mechanics.laws.line_loads import LineLoad
 from rfem_jax.mechanics.laws.point_laws import GivenLoad, TimeVector
+from rfem_jax.mechanics.model.form import Form
 from rfem_jax.mechanics.model.profiles import Profile, Taper
 from rfem_jax.mechanics.model.sources import Source
 from rfem_jax.mechanics.model.summary import model_text
@@ -107,6 +108,8 @@ class Topology(NamedTuple):
     ideal: names of the ideal couplings, whose equations come after those of the cut joints; coupled: the joint
         coordinates of these.
     stations: of every link the rfes that hold its stations inside; () without any.
+    shaped: whether links have forms (`form.Form`): their rfes are not on their x axes, or their sdes couple directions.
+    curved: links with an axis of their own.
     """
 
     links: tuple[str, ...]
@@ -139,6 +142,8 @@ class Topology(NamedTuple):
     ideal: tuple[str, ...] = ()
     coupled: tuple[int, ...] = ()
     stations: tuple[tuple[int, ...], ...] = ()
+    shaped: bool = False
+    curved: tuple[int, ...] = ()
 
     def renamed(self, names: Names) -> "Topology":
         """With other names."""
@@ -346,6 +351,11 @@ class Topology(NamedTuple):
         nodes = self.parents + self.children[self.n_links :] + self.holders
         return tuple(sorted({node - self.n_links for node in nodes if node >= self.n_links}))
 
+    @property
+    def bowed(self) -> bool:
+        """Whether links have errors of form."""
+        return any(name.endswith((".bow_y", ".bow_z")) for name in self.error_names)
+
     def link_of(self, node: int) -> int:
         """Link that a node belongs to."""
         return node if node < self.n_links else int(self.link_of_rfe[node - self.n_links])
@@ -409,7 +419,8 @@ class Model(eqx.Module):
     shaking_point [m]: about which the moment on the base is taken, None for the origin; couplings: of joint
     coordinates, by their names, None without any; curvature: rotations about y and z per length [1/m] of links without
     load, None where all are straight; profiles: of every link its sections along it, None of one without stations;
-    taper: rfes and sdes of all links; both None without any stations.
+    taper: rfes and sdes of all links; both None without any stations; form: of links that are not straight, None where
+    all are (`Topology.shaped`).
 
     Numbers of the description change by a `rfem_jax.design`, from which all arrays follow.  `equinox.tree_at` may
     replace what is no number of a description and leaves the geometry as it is, such as the stiffnesses of one link of
@@ -446,6 +457,7 @@ class Model(eqx.Module):
     curvature: Float[Array, "2 links"] | None = None
     profiles: tuple[Profile | None, ...] | None = None
     taper: Taper | None = None
+    form: Form | None = None
 
     @property
     def vectors_of_time(self) -> list[TimeVector]:

@@ -46,6 +46,11 @@ def _carried(model: Model, name: str) -> CarriedPoint:
         return CarriedPoint(topology.children[j], BASE, model.child_position[:, j], j)
     link, far = topology.links.index(end[0]), end[1]
     (first, last), n = topology.ranges[link], topology.elements[link]
+    if link in topology.curved and model.form is not None:
+        if not far:
+            return CarriedPoint(link, BASE, jnp.zeros(3))
+        curve, node = model.form.curves[link], link if first == last else topology.n_links + last - 1
+        return CarriedPoint(node, BASE, curve.end - model.form.middles.position[:, node])
     if not far or first == last:
         return CarriedPoint(link, BASE, jnp.stack([model.length[link] if far else zero, zero, zero]))
     beyond = (1.0 - rfe_fractions(n)[1][-1]) * model.length[link]

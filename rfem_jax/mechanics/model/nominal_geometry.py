@@ -9,6 +9,7 @@ Symbols: twists (angular, linear) at the global origin, in global axes; n_links 
 have "*t", many positions are placed at once.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -25,15 +26,15 @@ SMALLEST_SINGULAR_VALUE = 1e-6  # of rows with lengths over the longest link: wh
 
 class NominalGeometry(NamedTuple):
     """Constants of the perfect mechanism: frames of all joints (J, 3, 3), (J, 3) in the nodes of their parents
-    and children; rest (N,) [m]: x of the free rfes' middles in their links; scale [m]: the longest link; couplings:
-    the ideal ones, in the order of their equations."""
+    and children; rest [m]: x (N,) of the free rfes' middles in their links, of links with forms places (N, 3); scale
+    [m]: the longest link; couplings: the ideal ones, in the order of their equations."""
 
     topology: Topology
     seat_rotation: Float[np.ndarray, "joints 3 3"]
     seat_position: Float[np.ndarray, "joints 3"]
     bore_rotation: Float[np.ndarray, "joints 3 3"]
     bore_position: Float[np.ndarray, "joints 3"]
-    rest: Float[np.ndarray, " rfes"]
+    rest: Float[np.ndarray, " rfes *axes"]
     scale: float
     couplings: tuple[CouplingLaw, ...] = ()
 
@@ -73,10 +74,29 @@ def geometry_of(model: Model) -> NominalGeometry:
         seat_position=np.asarray(model.parent_position).T,
         bore_rotation=np.moveaxis(np.asarray(model.child_rotation), 2, 0),
         bore_position=np.asarray(model.child_position).T,
-        rest=np.concatenate([x * part for x, part in zip(middles, length)]),
+        rest=_rest(model, middles, length),
         scale=float(length.max()),
         couplings=_ideal_couplings(model),
     )
+
+
+def _rest(
+    model: Model, middles: Sequence[Float[np.ndarray, " n"]], length: Float[np.ndarray, " links"]
+) -> Float[np.ndarray, " rfes *axes"]:
+    if model.form is not None:
+        return np.asarray(model.form.middles.position)[:, model.topology.n_links :].T
+    return np.concatenate([x * part for x, part in zip(middles, length)])
+
+
+def offset(
+    geometry: NominalGeometry, rotation: Float[np.ndarray, "*t 3 3"], node: int
+) -> Float[np.ndarray, "*t 3"] | float:
+    """From the origin of a link with this rotation to the reference point of one of its nodes, in global axes."""
+    n = geometry.topology.n_links
+    if node < n:
+        return 0.0
+    rest = geometry.rest[node - n]
+    return rotation[..., 0] * rest if rest.ndim == 0 else rotation @ rest
 
 
 def _ideal_couplings(model: Model) -> tuple[CouplingLaw, ...]:
@@ -98,8 +118,7 @@ def place(geometry: NominalGeometry, coordinates: Float[np.ndarray, "*t numbers"
         if node == BASE:
             return np.eye(3), np.zeros(3)
         link = topology.link_of(node)
-        x = geometry.rest[node - n] if node >= n else 0.0
-        return rotation[..., link, :, :], origin[..., link, :] + rotation[..., link, :, 0] * x
+        return rotation[..., link, :, :], origin[..., link, :] + offset(geometry, rotation[..., link, :, :], node)
 
     for j in range(joints):
         parent_rotation, parent_point = frame(topology.parents[j])
@@ -232,9 +251,9 @@ def node_place(geometry: NominalGeometry, placed: Placed, node: int) -> tuple[np
     """Rotation (3, 3) and point (3,) of a node in global axes, links undeformed."""
     if node == BASE:
         return np.eye(3), np.zeros(3)
-    owner, n = geometry.topology.link_of(node), geometry.topology.n_links
+    owner = geometry.topology.link_of(node)
     rotation = placed.rotation[owner]
-    return rotation, placed.origin[owner] + rotation[:, 0] * (geometry.rest[node - n] if node >= n else 0.0)
+    return rotation, placed.origin[owner] + offset(geometry, rotation, node)
 
 
 def cross_matrix(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3 3"]:
@@ -318,7 +337,7 @@ def joint_units(geometry: NominalGeometry) -> Float[np.ndarray, " freedoms"]:
 def _elastic_twists(geometry: NominalGeometry, placed: Placed, link: int, rfe: int) -> np.ndarray:
     """Twists (6, 6) of unit rates of a free rfe's coordinates."""
     rotation = placed.rotation[link]
-    point = placed.origin[link] + rotation[:, 0] * geometry.rest[rfe]
+    point = placed.origin[link] + offset(geometry, rotation, geometry.topology.n_links + rfe)
     twists = np.zeros((6, 6))
     twists[3:, :3] = rotation * geometry.scale
     twists[:3, 3:] = rotation

@@ -11,9 +11,11 @@ norm, since the closure equations of a planar mechanism are redundant.
 
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
+from rfem_jax.mechanics.model.form import drawn
 from rfem_jax.mechanics.model.model import Model, Topology
 from rfem_jax.mechanics.model.nominal_geometry import (
     NominalGeometry,
@@ -22,6 +24,7 @@ from rfem_jax.mechanics.model.nominal_geometry import (
     geometry_of,
     joint_units,
     moved,
+    offset,
     place,
     shortest,
 )
@@ -55,7 +58,7 @@ def nominal_shapes(model: Model, joints: Float[np.ndarray, "times numbers"]) -> 
     n = topology.n_links
     rotation = np.concatenate([placed.child_rotation[:, :n], placed.joint_rotation[:, n:]], axis=1)
     return NominalShape(
-        points=_points(geometry, placed, np.asarray(model.length)),
+        points=_points(geometry, placed, model),
         rotation=rotation,
         centre=placed.child_centre,
         seat_rotation=placed.joint_rotation,
@@ -111,11 +114,12 @@ def _close(
     return positions, np.max(np.abs(residual), axis=1, initial=0.0)
 
 
-def _points(
-    geometry: NominalGeometry, placed: Placed, length: Float[np.ndarray, " links"]
-) -> Float[np.ndarray, "times points 3"]:
+def _points(geometry: NominalGeometry, placed: Placed, model: Model) -> Float[np.ndarray, "times points 3"]:
     lines = []
-    for l, places in enumerate(_places(geometry.topology, geometry.rest, length)):
+    for l, places in enumerate(_places(geometry.topology, geometry.rest, model)):
+        if places.ndim == 2:
+            lines.append(placed.origin[:, None, l] + np.einsum("tij,pj->tpi", placed.rotation[:, l], places))
+            continue
         along = placed.rotation[:, l, :, 0]
         lines.append(placed.origin[:, None, l] + places[:, None] * along[:, None])
     return np.concatenate(lines, axis=1)
@@ -126,14 +130,17 @@ def _followed(model: Model, geometry: NominalGeometry, placed: Placed) -> Float[
     topology, found = geometry.topology, [np.zeros((len(placed.origin), 0, 3))]
     for _, point in sorted((model.points or {}).items()):
         l, place = topology.link_of(point.node), np.array(point.position)
-        if point.node >= topology.n_links:
-            place[0] += geometry.rest[point.node - topology.n_links]
+        place += offset(geometry, np.eye(3), point.node)
         found.append((placed.origin[:, l] + placed.rotation[:, l] @ place)[:, None])
     return np.concatenate(found, axis=1)
 
 
 def _places(
-    topology: Topology, rest: Float[np.ndarray, " rfes"], length: Float[np.ndarray, " links"]
-) -> list[Float[np.ndarray, " points"]]:
-    """Places x [m] on every link of the points of `centre_lines.link_lines`."""
+    topology: Topology, rest: Float[np.ndarray, " rfes *axes"], model: Model
+) -> list[Float[np.ndarray, " points *axes"]]:
+    """Places x [m], of links with forms vectors, on every link of the points of `centre_lines.link_lines`."""
+    length = np.asarray(model.length)
+    if model.form is not None:
+        curves = [jax.tree.map(np.asarray, curve) for curve in model.form.curves]
+        return [c.at(drawn(n)[0] * c.length).position.T for n, c in zip(topology.elements, curves)]
     return [np.concatenate([[0.0], rest[a:b], [length[l]]]) for l, (a, b) in enumerate(topology.ranges)]

@@ -66,7 +66,7 @@ class Profile(eqx.Module):
             low, high = (xp.minimum(xp.maximum(x, begin), end) for x in (start, stop))
             x = (0.5 * (low + high)[None] + 0.5 * (high - low)[None] * NODES[:, None]).reshape(-1)
             weight = (0.5 * (high - low)[None] * WEIGHTS[:, None]).reshape(-1)
-            found = self._properties(first, last, (x - begin) / (end - begin))
+            found = self.at(Span(begin, end, first, last), x)
             density = xp.broadcast_to(found.line_density, x.shape)
             y, z = plane_names(self.plane)
             rotary = [getattr(found, f"rotary_{axis}") for axis in ("x", y, z)]
@@ -95,8 +95,10 @@ class Profile(eqx.Module):
             found = here if found is None else _chosen(x >= begin, here, found)
         return found
 
-    def _properties(self, first: Section, last: Section, share: Any) -> SectionProperties:
-        return section_between(first, last, share).properties(self.material)
+    def at(self, span: Span, x: Any) -> SectionProperties:
+        """Properties of the sections of one span at places [m]."""
+        share = (x - span.begin) / (span.end - span.begin)
+        return section_between(span.first, span.last, share).properties(self.material)
 
 
 def _chosen(where: Array, new: Array, old: Array) -> Array:
@@ -106,9 +108,10 @@ def _chosen(where: Array, new: Array, old: Array) -> Array:
     return jnp.where(where[None, None], new, old)
 
 
-def profile_of(link: Link, plane: str) -> Profile | None:
-    """The profile of a link with stations, whose numbers may be traced; None of others."""
-    if not link.stations:
+def profile_of(link: Link, plane: str, shaped: bool = False) -> Profile | None:
+    """The profile of a link with stations, or with a section where links have forms, whose numbers may be traced; None
+    of others."""
+    if link.section is None or not (link.stations or shaped):
         return None
     spans = (span._replace(first=_nameless(span.first), last=_nameless(span.last)) for span in link.spans)
     material = None if link.material is None else link.material.with_fields(name="")

@@ -26,6 +26,7 @@ from rfem_jax.description.parameters.parameters import ParameterNames, named_par
 from rfem_jax.description.parameters.parts import (
     Parts,
     Path,
+    measured,
     number_at,
     renamed_parts,
     scaled,
@@ -100,7 +101,7 @@ class Blueprint:
         for parameter, number in zip(self.names.all, numbers, strict=True):
             for path in parameter.paths:
                 values[path] = scaled(number_at(self.parts, path), number) if parameter.factor else number
-        return with_numbers(self.parts, values)
+        return measured(with_numbers(self.parts, values))
 
 
 class Source(eqx.Module):
@@ -133,7 +134,8 @@ def _drop_derived_numbers(parts: Parts) -> Parts:
             station.with_fields(section=_without_derived(station.section), after=_without_derived(station.after))
             for station in link.stations
         )
-        links.append(link.with_fields(section=_without_derived(link.section), stations=stations))
+        changed = {"length": 0.0} if link.axis else {}
+        links.append(link.with_fields(section=_without_derived(link.section), stations=stations, **changed))
     for joint in parts.joints:
         zeros = {"angle": 0.0, "displacement": 0.0, "start": scaled(joint.start, 0.0)}
         given = {name: zero for name, zero in zeros.items() if getattr(joint, name) is not None}

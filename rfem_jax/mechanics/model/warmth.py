@@ -58,6 +58,16 @@ def _link(link: Link, growth: Number) -> Link:
         changed["material"] = link.material.with_fields(density=link.material.density / growth)
     elif link.section is not None:
         changed["section"] = _thinned(link.section, growth)
+    changed["axis"] = tuple(
+        point.with_fields(
+            **{
+                name: scaled(getattr(point, name), growth)
+                for name in ("to", "through", "radius")
+                if getattr(point, name) is not None
+            }
+        )
+        for point in link.axis
+    )
     changed["stations"] = tuple(_station(station, growth, link.material is None) for station in link.stations)
     return link.with_fields(**changed)
 

@@ -7,6 +7,9 @@ Place in the pipeline: model + errors -> **with_errors** -> kinematics, dynamics
 computed here, once a simulation.
 """
 
+from collections.abc import Sequence
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -23,6 +26,16 @@ from rfem_jax.mechanics.laws.joint_laws import JointLaws
 from rfem_jax.mechanics.laws.joint_springs import CompliantSpring
 from rfem_jax.mechanics.laws.line_loads import LineLoad
 from rfem_jax.mechanics.model.errors import AssemblyErrors, possible_errors
+from rfem_jax.mechanics.model.form import (
+    ActualForm,
+    Shaped,
+    bodies_of,
+    hinge_of,
+    point_inertia,
+    sde_stiffness,
+    shaped,
+    wave,
+)
 from rfem_jax.mechanics.model.model import BASE, CarriedPoint, Model, Topology, rfe_fractions
 
 
@@ -53,7 +66,8 @@ class ModelWithErrors(eqx.Module):
     forces: along joint coordinates and of couplings of these, None without any; frame_forces: elements between frames
     on nodes, likewise; friction: in joints of the tree and cut ones, likewise; springs: of compliant joints, likewise;
     reaction_length: as of the model; points: whose paths are followed, likewise; bent: rotations about y and z [rad] of
-    the sdes without load, None where links are straight.
+    the sdes without load, None where links are straight; form: of links with forms, None where all are straight. With
+    forms rest and lever arms are vectors (3, rfes), and the stiffness a matrix (6, 6, rfes) in link axes.
     """
 
     topology: Topology = eqx.field(static=True)
@@ -65,11 +79,11 @@ class ModelWithErrors(eqx.Module):
     centre: Float[Array, "3 nodes"]
     inertia: Float[Array, "3 3 nodes"]
     inverse_inertia: Float[Array, "3 3 rfes"]
-    rest: Float[Array, " rfes"]
-    stiffness: Float[Array, "6 rfes"]
+    rest: Float[Array, " *axes rfes"]
+    stiffness: Float[Array, "6 *deflections rfes"]
     damping: Float[Array, " rfes"]
-    lever_left: Float[Array, " rfes"]
-    lever_right: Float[Array, " rfes"]
+    lever_left: Float[Array, " *axes rfes"]
+    lever_right: Float[Array, " *axes rfes"]
     beam_middle: Float[Array, " links"]
     gravity: Float[Array, "3"]
     datum: Float[Array, "3"]
@@ -81,6 +95,7 @@ class ModelWithErrors(eqx.Module):
     reaction_length: Float[Array, ""] | None = None
     points: dict[str, CarriedPoint] | None = None
     bent: Float[Array, "2 rfes"] | None = None
+    form: ActualForm | None = None
 
 
 @kernel
@@ -93,9 +108,10 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
         errors = jax.tree.map(lambda x: jnp.where(possible, x, 0.0), errors)
         length = model.length + errors.length
         scale = length / model.length
+        bow = _bow(model, errors)
         seat = _side(
             model.parent_rotation,
-            model.parent_position,
+            _bowed(model, bow, scale, model.parent_position, topology.parents, _shares(model, "seats")),
             errors.seat,
             topology.parents,
             topology.parent_at_end,
@@ -105,7 +121,7 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
         )
         bore = _side(
             model.child_rotation,
-            model.child_position,
+            _bowed(model, bow, scale, model.child_position, topology.children, _shares(model, "bores")),
             errors.bore,
             topology.children,
             topology.child_at_end,
@@ -118,7 +134,7 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
         start = vectors.rotation_y(_start_angles(model))
         pin_in_child = vectors.transposed_product(start, vectors.product(pin, start))
         sides = (vectors.product(seat[0], pin), seat[1]), (vectors.product(bore[0], pin_in_child), bore[1])
-        mass, centre, inertia = _bodies(model, length, scale)
+        mass, centre, inertia = _bodies(model, bow, length, scale)
         n = topology.n_links
         return ModelWithErrors(
             topology=topology,
@@ -134,18 +150,51 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
             gravity=model.gravity,
             datum=model.parent_position[:, topology.parents.index(BASE)],
             forces=_joint_laws(model),
-            frame_forces=_frame_forces(model, scale, sides),
+            frame_forces=_frame_forces(model, bow, scale, sides),
             friction=model.friction,
             springs=model.springs,
             reaction_length=model.reaction_length,
-            points=_points(model, scale, bore[1]),
+            points=_points(model, bow, scale, bore[1]),
             possible=possible.astype(float),
-            **_spring_damping_elements(model, length),
+            **(_spring_damping_elements(model, length) if bow is None else _shaped_elements(model, bow, length, scale)),
         )
 
 
+def _bow(model: Model, errors: AssemblyErrors) -> Float[Array, "2 links"] | None:
+    """Bows of links [m], zero of those without; None where no link has a form."""
+    if model.form is None:
+        return None
+    return jnp.zeros((2, model.topology.n_links)) if errors.bow is None else errors.bow
+
+
+def _shares(model: Model, name: str) -> Any:
+    return None if model.form is None else getattr(model.form, name)
+
+
+def _bowed(
+    model: Model,
+    bow: Array | None,
+    scale: Array,
+    position: Float[Array, "3 n"],
+    nodes: Sequence[int],
+    shares: Float[Array, " n"] | None,
+) -> Float[Array, "3 n"]:
+    """Places in frames of nodes, at shares of the links' lengths, with the bows of their links; on links with an axis y
+    and z as much longer as x becomes in what follows (theory (1.25))."""
+    if bow is None or model.form is None or shares is None or not len(nodes):
+        return position
+    topology = model.topology
+    link = np.array([0 if node == BASE else topology.link_of(node) for node in nodes])
+    on_link = np.array([node != BASE for node in nodes])
+    curved = np.isin(link, topology.curved) & on_link
+    apart = wave(shares) - wave(_link_values(model.form.middles.share, np.maximum(np.array(nodes), 0)))
+    across = _link_values(bow, link) * jnp.where(on_link, apart, 0.0)[None]
+    longer = jnp.where(curved, _link_values(scale, link), 1.0)
+    return jnp.concatenate([position[:1], position[1:] * longer[None] + across])
+
+
 def _frame_forces(
-    model: Model, scale: Array, sides: tuple[tuple[Array, Array], tuple[Array, Array]]
+    model: Model, bow: Array | None, scale: Array, sides: tuple[tuple[Array, Array], tuple[Array, Array]]
 ) -> FrameForceSet | None:
     """The force elements, whose frames lie on links that are `scale` times as long, or are those of joints: rotations
     (3, 3, joints) and positions (3, joints) on both `sides`."""
@@ -158,9 +207,21 @@ def _frame_forces(
             j, ends = at_joints[name], (element.parent, element.child)
             frames = [NodeFrame(end.node, side[0][:, :, j], side[1][:, j]) for end, side in zip(ends, sides)]
         else:
-            frames = [_scaled_frame(topology, frame, scale) for frame in (element.parent, element.child)]
+            ends = (element.parent, element.child)
+            if model.form is not None and name in model.form.elements:
+                shares = model.form.elements[name]
+                shares = (None, shares[0]) if shares.shape[0] == 1 else (shares[0], shares[1])
+                ends = [_bowed_frame(model, bow, scale, *end) for end in zip(ends, shares)]
+            frames = [_scaled_frame(topology, frame, scale) for frame in ends]
         elements[name] = eqx.tree_at(lambda one: (one.parent, one.child), element, tuple(frames))
     return FrameForceSet(elements, jnp.ones(()), _line_loads(model, scale))
+
+
+def _bowed_frame(model: Model, bow: Array | None, scale: Array, frame: NodeFrame, share: Array | None) -> NodeFrame:
+    if share is None:
+        return frame
+    moved = _bowed(model, bow, scale, frame.position[:, None], [frame.node], share[None])
+    return NodeFrame(frame.node, frame.rotation, moved[:, 0])
 
 
 def _line_loads(model: Model, scale: Array) -> dict[str, LineLoad] | None:
@@ -186,16 +247,26 @@ def _stretched(topology: Topology, node: int, position: Float[Array, "3"], scale
     return jnp.concatenate([position[:1] * scale[topology.link_of(node)], position[1:]])
 
 
-def _points(model: Model, scale: Array, centres: Float[Array, "3 joints"]) -> dict[str, CarriedPoint] | None:
+def _points(
+    model: Model, bow: Array | None, scale: Array, centres: Float[Array, "3 joints"]
+) -> dict[str, CarriedPoint] | None:
     """The points whose paths are followed, on links that became `scale` times as long; `centres` of the joints on
     their children."""
     if model.points is None:
         return None
+
+    def place(one: CarriedPoint) -> Array:
+        if bow is None or model.form is None or one.node == BASE:
+            return one.position
+        # Of straight links alone, which may be bowed.
+        share = model.form.middles.share[one.node] + one.position[0] / model.length[model.topology.link_of(one.node)]
+        return _bowed(model, bow, scale, one.position[:, None], [one.node], jnp.clip(share, 0.0, 1.0)[None])[:, 0]
+
     return {
         name: CarriedPoint(
             one.node,
             one.observer,
-            _stretched(model.topology, one.node, one.position, scale) if one.joint is None else centres[:, one.joint],
+            _stretched(model.topology, one.node, place(one), scale) if one.joint is None else centres[:, one.joint],
             one.joint,
         )
         for name, one in model.points.items()
@@ -228,6 +299,8 @@ def with_structural_zeros(actual: ModelWithErrors) -> ModelWithErrors:
     unless it has a point mass.
     """
     topology = actual.topology
+    if topology.shaped:  # anything may be off the axis
+        return actual
     n, nodes = topology.n_links, topology.n_links + topology.n_rfes
     plain = ~np.isin(np.arange(nodes), topology.masses)
     off_axis = np.array([False, True, True])[:, None] & plain
@@ -266,7 +339,7 @@ def _side(
 
 
 def _bodies(
-    model: Model, length: Array, scale: Array
+    model: Model, bow: Array | None, length: Array, scale: Array
 ) -> tuple[Float[Array, " nodes"], Float[Array, "3 nodes"], Float[Array, "3 3 nodes"]]:
     """Mass, centre of mass and central inertia of all nodes, point masses included."""
     topology = model.topology
@@ -286,12 +359,11 @@ def _bodies(
         slender = jnp.asarray(np.array([0.0, 1.0, 1.0]))[:, None] * (model.taper.spread * longer**3)[None]
         principal = slender + model.taper.rotary * longer[None]
     beam_centre = _x_vectors(axial)
+    if bow is not None:
+        mass, beam_centre, of_beam = _shaped_bodies(model, bow, scale)
 
     holder = np.array(topology.masses, dtype=int)
-    holder_link = np.array([topology.link_of(node) for node in topology.masses], dtype=int)
-    point = jnp.concatenate(
-        [model.point_position[:1] * _link_values(scale, holder_link)[None], model.point_position[1:]]
-    )
+    point = _point_places(model, bow, scale)
     # Sums at the nodes that hold them, by products: additions at places would be scatters.
     onto = (holder[:, None] == np.arange(nodes)).astype(float)
     total = mass + model.point_mass @ onto
@@ -309,11 +381,49 @@ def _bodies(
     def diagonal(entries):
         return jnp.asarray(vectors.IDENTITY)[:, :, None] * entries[:, None]
 
-    inertia = diagonal(principal) + steiner(mass, beam_centre - centre)
+    inertia = (diagonal(principal) if bow is None else of_beam) + steiner(mass, beam_centre - centre)
     added = diagonal(model.point_inertia) + steiner(model.point_mass, point - centre[:, holder])
     if model.point_products is not None:
         added = added + _off_diagonal(model.point_products)
     return total, centre, inertia + added @ onto
+
+
+def _on_nodes(model: Model, bow: Array, scale: Array, links: np.ndarray) -> tuple[Array, Array, Array]:
+    """Scale, bow and nominal length of the links of nodes, as `form.shaped` takes them."""
+    return _link_values(scale, links), _link_values(bow, links), _link_values(model.length, links)
+
+
+def _references(model: Model, bow: Array, scale: Array) -> Shaped:
+    """The reference points of all nodes in the frames of their links."""
+    assert model.form is not None
+    whole = _on_nodes(model, bow, scale, _node_fractions(model.topology)[0])
+    return shaped(model.form.middles, *whole, hinge_of(model.topology.plane))
+
+
+def _point_places(model: Model, bow: Array | None, scale: Array) -> Float[Array, "3 masses"]:
+    point = _bowed(model, bow, scale, model.point_position, model.topology.masses, _shares(model, "masses"))
+    link = np.array([model.topology.link_of(node) for node in model.topology.masses], dtype=int)
+    return jnp.concatenate([point[:1] * _link_values(scale, link)[None], point[1:]])
+
+
+def point_places(model: Model, actual: ModelWithErrors) -> Float[Array, "3 masses"]:
+    """Places [m] of point masses in the frames of their nodes, with the errors of their links."""
+    middles = np.array([rfe_fractions(n)[1][0] for n in model.topology.elements])
+    scale = actual.beam_middle / middles / model.length
+    return _point_places(model, None if actual.form is None else actual.form.bow, scale)
+
+
+def _shaped_bodies(
+    model: Model, bow: Array, scale: Array
+) -> tuple[Float[Array, " nodes"], Float[Array, "3 nodes"], Float[Array, "3 3 nodes"]]:
+    """Mass, centre from the reference point, and central inertia of the beams of all nodes."""
+    assert model.form is not None
+    whole = _on_nodes(model, bow, scale, _node_fractions(model.topology)[0])
+    about = _references(model, bow, scale).position
+    mass, moment, inertia = bodies_of(model.form.bodies, whole, about, hinge_of(model.topology.plane))
+    there = mass > 0.0
+    centre = jnp.where(there[None], moment / jnp.where(there, mass, 1.0)[None], 0.0)
+    return mass, centre, inertia - point_inertia(mass, centre)
 
 
 def _off_diagonal(products: Float[Array, "3 masses"]) -> Float[Array, "3 3 masses"]:
@@ -354,6 +464,30 @@ def _spring_damping_elements(model: Model, length: Array) -> dict[str, Array]:
         "lever_left": jnp.asarray(place - left) * extent,
         "lever_right": jnp.asarray(place - right) * extent,
         **_bends(model, link, extent / np.maximum(count, 1.0)),
+    }
+
+
+def _shaped_elements(model: Model, bow: Array, length: Array, scale: Array) -> dict[str, Any]:
+    """As `_spring_damping_elements`, of links with forms; places and lever arms are vectors (theory (1.22) to
+    (1.25))."""
+    topology, form, hinge = model.topology, model.form, hinge_of(model.topology.plane)
+    assert form is not None
+    link = topology.link_of_rfe.astype(int)
+    whole, middles = _on_nodes(model, bow, scale, link), _references(model, bow, scale).position
+    rest, inner = middles[:, topology.n_links :], np.ones(topology.n_rfes, dtype=bool)
+    inner[[a for a, b in topology.ranges if b > a]] = False
+    before = jnp.where(inner[None], jnp.roll(rest, 1, axis=1), 0.0)
+    sdes = shaped(form.sdes, *whole, hinge)
+    faces = (shaped(one, *whole, hinge).position for one in (form.begins, form.ends))
+    count = np.array(topology.elements, dtype=float)[link] - 1.0
+    return {
+        "rest": rest,
+        "stiffness": sde_stiffness(form.segments, whole, (sdes.position, *faces), hinge),
+        "damping": _link_values(model.section.damping, link),
+        "lever_left": sdes.position - before,
+        "lever_right": sdes.position - rest,
+        "form": ActualForm(form.curves, scale, bow, model.length, sdes.axes, hinge),
+        **_bends(model, link, _link_values(length, link) / np.maximum(count, 1.0)),
     }
 
 

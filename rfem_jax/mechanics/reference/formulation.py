@@ -99,7 +99,7 @@ def transforms(
             if topology.exact:
                 outer = _rotation_about(1, phi_y) @ _rotation_about(2, phi_z)
             rotation = outer @ _rotation_about(0, phi_x)
-            rest = np.array([1.0, 0.0, 0.0]) * actual.rest[k]
+            rest = _along(actual.rest, k)
             relative = _transform(rotation, rest + jnp.stack([x, y, z]))
             frames[topology.n_links + k] = frames[l] @ relative
     return [frames[node] for node in range(topology.n_links + topology.n_rfes)]
@@ -149,19 +149,26 @@ def exact_deflections(actual: ModelWithErrors, frames: Float[Array, "nodes 4 4"]
     for l, (a, b) in enumerate(topology.ranges):
         for k in range(a, b):
             right.append(topology.n_links + k)
-            right_face.append(_shift_along_x(actual.lever_right[k]))
+            right_face.append(_transform(jnp.eye(3), _along(actual.lever_right, k)))
             # The first sde joins the link frame, whose face is at the sde's place at rest.
             left.append(l if k == a else topology.n_links + k - 1)
-            at_rest = actual.rest[k] + actual.lever_right[k]
-            left_face.append(_shift_along_x(at_rest if k == a else actual.lever_left[k]))
+            at_rest = _along(actual.rest, k) + _along(actual.lever_right, k)
+            left_face.append(_transform(jnp.eye(3), at_rest if k == a else _along(actual.lever_left, k)))
     left = frames[jnp.array(left)] @ jnp.stack(left_face)
     right = frames[jnp.array(right)] @ jnp.stack(right_face)
     return jax.vmap(_deflection, out_axes=1)(left, right)
 
 
-def _shift_along_x(x: Array) -> Array:
-    """Transform of a shift along x."""
-    return _transform(jnp.eye(3), jnp.array([1.0, 0.0, 0.0]) * x)
+def _along(places: Array, k: int) -> Array:
+    """Place k of several, of which the x, or all components, are known."""
+    return places[:, k] if places.ndim == 2 else jnp.array([1.0, 0.0, 0.0]) * places[k]
+
+
+def _work(actual: ModelWithErrors, strain: Array) -> Array:
+    """Sum over the sdes of a strain times its stress."""
+    if actual.topology.shaped:
+        return jnp.einsum("ak,abk,bk->k", strain, actual.stiffness, strain)
+    return actual.stiffness * strain**2
 
 
 def _deflection(left: Array, right: Array) -> Array:
@@ -362,13 +369,23 @@ def _line_forces(actual: ModelWithErrors, drive: DriveInput, frames: Array) -> l
             node = line.link if i == 0 else first_rfe + i - 1
             low, high = (jnp.clip(x, line.begin, line.end) for x in (edge, edge + share * length))
             edge = edge + share * length
-            for at in (0.5 - np.sqrt(1.0 / 12.0), 0.5 + np.sqrt(1.0 / 12.0)):
+            for at, weight in _line_points(actual):
                 x = low + at * (high - low)
                 along = (x - line.begin) / (line.end - line.begin)
-                force = 0.5 * (high - low) * ((1.0 - along) * first + along * last)
+                force = weight * (high - low) * ((1.0 - along) * first + along * last)
                 place = jnp.stack([x - (0.0 if i == 0 else middles[i] * length), *jnp.zeros(2)])
+                if actual.form is not None:
+                    rest = jnp.zeros(3) if i == 0 else actual.rest[:, topology.ranges[line.link][0] + i - 1]
+                    place = actual.form.at(line.link, x[None]).position[:, 0] - rest
                 found.append((node, place, frames[node, :3, :3] @ force if line.turning else force))
     return found
+
+
+def _line_points(actual: ModelWithErrors) -> list[tuple[float, float]]:
+    """Gauss's points and weights of a piece from 0 to 1: two, or of links with forms, whose lever arms are no
+    polynomials, many."""
+    nodes, weights = np.polynomial.legendre.leggauss(2 if actual.form is None else 12)
+    return list(zip(0.5 + 0.5 * nodes, 0.5 * weights))
 
 
 def element_wrenches(
@@ -441,7 +458,7 @@ def reference_accelerations(
         of_gravity = -jnp.sum(weights[:, :, 0] @ actual.gravity)
         if topology.exact:
             stretch = exact_deflections(actual, frames)
-            return of_gravity + 0.5 * jnp.sum(actual.stiffness * stretch**2)
+            return of_gravity + 0.5 * jnp.sum(_work(actual, stretch))
         return of_gravity + elasticity.elastic_energy(actual, _changed(topology, state.position, unravel(q)))
 
     def rayleigh(qd):
@@ -450,7 +467,7 @@ def reference_accelerations(
             frame_rates = jnp.einsum("nabi,i->nab", derivatives, qd)
             faces = partial(exact_deflections, actual)
             rate = jax.jvp(faces, (matrices(q),), (frame_rates,))[1]
-            return 0.5 * jnp.sum(actual.stiffness * actual.damping[None] * rate**2)
+            return 0.5 * jnp.sum(_work(actual, jnp.sqrt(actual.damping)[None] * rate))
         return 0.5 * elasticity.dissipated_power(actual, State(state.position, unravel(qd)))
 
     by_frames, directly = jax.grad(potential, (0, 1))(matrices(q), q)

@@ -376,8 +376,8 @@ def _longest_arm(model: Model) -> Float[Array, ""]:
         *((one.node, one.position) for one in (model.points or {}).values()),
     ]
     for node, position in places:
-        if node == BASE or topology.elements[topology.link_of(node)] == 1:
-            continue
+        if node == BASE or topology.elements[topology.link_of(node)] == 1 or topology.link_of(node) in topology.curved:
+            continue  # a link with an axis may have arms beside it
         link, n = topology.link_of(node), topology.n_links
         shares = rfe_fractions(topology.elements[link])[0]
         i = 0 if node < n else node - n - topology.ranges[link][0] + 1

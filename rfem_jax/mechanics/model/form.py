@@ -1,0 +1,350 @@
+"""Links that are not straight: rfes and sdes along curves in space, and errors of form.
+
+Place in the pipeline: description.curves, profiles -> **form** -> building, with_errors, section_loads.
+
+All rfes keep axes parallel to those of their link at rest: their places, their bodies, the sdes' lever arms and the
+sdes' stiffness, a full matrix in link axes, have the whole form. A curve is run through by its arc length s, the share
+s / L of it has what depends on errors: the length's scale and the bow. Integrals are sums over points of Gauss between
+all places where a curve or its sections change, so that the program does not grow with the number of rfes. Source:
+theory (1.20) to (1.27).
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float, Int
+
+from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.basics.numbers import array_of, is_known, larger, smaller, traced
+from rfem_jax.description.mechanism.curves import Curve
+from rfem_jax.description.mechanism.links import Link
+from rfem_jax.description.mechanism.sections import SectionProperties, plane_names
+from rfem_jax.description.mechanism.stations import Span
+from rfem_jax.mechanics.algebra import vectors
+from rfem_jax.mechanics.algebra.vectors import cross, cross_matrix, dot, product, scaled
+from rfem_jax.mechanics.model.profiles import Profile
+
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
+LEAST_ACROSS = 0.01  # 1 - of a tangent's part along the hinges, below which nothing says how sections are turned
+LOOKED_AT = 200  # places of a curve
+DRAWN = 4  # points of a link to each of its sdes
+
+
+class Places(eqx.Module):
+    """Places along links: position [m], unit tangent, roll [rad] of the section, and share of the link's length."""
+
+    position: Float[Array, "*q 3 n"]
+    tangent: Float[Array, "*q 3 n"]
+    roll: Float[Array, "*q n"]
+    share: Float[Array, "*q n"]
+
+
+class Segments(eqx.Module):
+    """Points of Gauss of n parts of links: places; weight [m]; compliance per length, in the section's axes; density
+    [kg/m] and rotary [kg m], the section's inertia per length about its own axes."""
+
+    places: Places
+    weight: Float[Array, "q n"]
+    compliance: Float[Array, "q 6 6 n"]
+    density: Float[Array, "q n"]
+    rotary: Float[Array, "q 3 3 n"]
+
+
+class Form(eqx.Module):
+    """The forms of all links of a model.
+
+    curves: their axes; middles: reference points of the nodes, of rfe 0 the start of its link; sdes; begins, ends: of
+    the sdes' segments; segments: of the sdes; bodies: of the nodes; seats, bores, masses, elements: shares of the
+    links' lengths at joints, point masses and both ends of force elements, by their names.
+    """
+
+    curves: tuple[Curve, ...]
+    middles: Places
+    sdes: Places
+    begins: Places
+    ends: Places
+    segments: Segments
+    bodies: Segments
+    seats: Float[Array, " joints"]
+    bores: Float[Array, " joints"]
+    masses: Float[Array, " masses"]
+    elements: dict[str, Float[Array, "2"]]
+
+
+class Shaped(NamedTuple):
+    """Places with the errors of form: position [m], tangent, as long as the curve is stretched, and section axes."""
+
+    position: Float[Array, "3 n"]
+    tangent: Float[Array, "3 n"]
+    axes: Float[Array, "3 3 n"]
+
+
+class ActualForm(eqx.Module):
+    """The forms of all links with their errors.
+
+    scale: lengths over nominal ones; bow [m], along y and z of the links; length [m], nominal; axes: of the sections at
+    the sdes; curves: as of `Form`; hinge: axis of the links that lies along the hinges, 1 or 2.
+    """
+
+    curves: tuple[Curve, ...]
+    scale: Float[Array, " links"]
+    bow: Float[Array, "2 links"]
+    length: Float[Array, " links"]
+    axes: Float[Array, "3 3 rfes"]
+    hinge: int = eqx.field(static=True)
+
+    def at(self, link: int, s: Float[Array, " n"]) -> Shaped:
+        """Places at lengths s [m] along a link that is as long as it is, undeformed, in its frame."""
+        nominal = s / self.scale[link]
+        found = self.curves[link].at(nominal)
+        places = Places(*map(jnp.asarray, found), nominal / self.length[link])
+        return shaped(places, *self.of_link(link, s.shape[0]), self.hinge)
+
+    def of_link(self, link: int, n: int) -> tuple[Array, Array, Array]:
+        """Scale, bow and nominal length of one link n times, as `shaped` takes them."""
+        scale, bow, length = (
+            jnp.broadcast_to(one[..., link, None], (*one.shape[:-1], n)) for one in (self.scale, self.bow, self.length)
+        )
+        return scale, bow, length
+
+    def whole(self, link: int) -> Float[Array, ""]:
+        """Length [m] of a link along its axis, with its error."""
+        return self.scale[link] * self.length[link]
+
+
+def shaped(
+    places: Places, scale: Float[Array, " n"], bow: Float[Array, "2 n"], length: Float[Array, " n"], hinge: int
+) -> Shaped:
+    """Places with the errors of their links (theory (1.25))."""
+    across = jnp.concatenate([jnp.zeros((1, *scale.shape)), bow])
+    angle = np.pi * places.share
+    position = scaled(scale, places.position) + scaled(jnp.sin(angle), across)
+    tangent = scaled(scale, places.tangent) + scaled(np.pi / length * jnp.cos(angle), across)
+    return Shaped(position, tangent, section_axes(tangent, places.roll, hinge))
+
+
+def wave(share: Float[Array, " n"]) -> Float[Array, " n"]:
+    """The half-wave of a bow at shares of a link's length."""
+    return jnp.sin(np.pi * share)
+
+
+def section_axes(tangent: Float[Array, "3 n"], roll: Float[Array, " n"], hinge: int) -> Float[Array, "3 3 n"]:
+    """Axes of sections, of which the one along the hinges is as near to these as it can be across the curve, before it
+    is turned by the roll (theory (1.21))."""
+    along = scaled(1.0 / jnp.sqrt(dot(tangent, tangent)), tangent)
+    unit = jnp.asarray(vectors.IDENTITY[hinge][:, None])
+    across = unit - scaled(along[hinge], along)
+    across = scaled(1.0 / jnp.sqrt(dot(across, across)), across)
+    y, z = (across, cross(along, across)) if hinge == 1 else (cross(across, along), across)
+    cosine, sine = jnp.cos(roll), jnp.sin(roll)
+    return jnp.stack([along, scaled(cosine, y) + scaled(sine, z), scaled(cosine, z) - scaled(sine, y)], axis=1)
+
+
+def sde_stiffness(
+    segments: Segments, errors: tuple[Array, Array, Array], points: tuple[Array, Array, Array], hinge: int
+) -> Float[Array, "6 6 rfes"]:
+    """Stiffness of sdes in link axes, of errors (scale, bow, length) and points [m] of the sdes and of the begins and
+    ends of their segments (theory (1.22) to (1.24))."""
+    sde, begin, end = points
+    chord = end - begin
+    chord = scaled(1.0 / jnp.sqrt(dot(chord, chord)), chord)
+
+    def add(total, segment):
+        place = shaped(segment.places, *errors, hinge)
+        apart = sde - place.position
+        lever = cross_matrix(apart - scaled(dot(chord, apart), chord))
+        to_force = vectors.transpose(place.axes)
+        to_moment = product(to_force, lever)
+        loads = jnp.concatenate([
+            jnp.concatenate([to_force, jnp.zeros_like(to_force)], axis=1),
+            jnp.concatenate([to_moment, to_force], axis=1),
+        ])  # fmt: skip
+        weight = segment.weight * jnp.sqrt(dot(place.tangent, place.tangent))
+        compliance = product(vectors.transposed_product(loads, segment.compliance), loads)
+        return total + weight[None, None] * compliance, None
+
+    compliance, _ = jax.lax.scan(add, jnp.zeros((6, 6, sde.shape[1])), segments)
+    return vectors.invert_positive(compliance)
+
+
+def bodies_of(
+    bodies: Segments, errors: tuple[Array, Array, Array], about: Float[Array, "3 nodes"], hinge: int
+) -> tuple[Float[Array, " nodes"], Float[Array, "3 nodes"], Float[Array, "3 3 nodes"]]:
+    """Mass, first moment about the reference points `about` and inertia about these of parts of links, of errors as
+    above (theory (1.26))."""
+
+    def add(total, part):
+        place = shaped(part.places, *errors, hinge)
+        apart = place.position - about
+        stretch = jnp.sqrt(dot(place.tangent, place.tangent))
+        mass = part.weight * part.density * stretch
+        own = vectors.product_transposed(product(place.axes, part.rotary), place.axes)
+        inertia = point_inertia(mass, apart) + (part.weight * stretch)[None, None] * own
+        return (total[0] + mass, total[1] + scaled(mass, apart), total[2] + inertia), None
+
+    n = about.shape[1]
+    return jax.lax.scan(add, (jnp.zeros(n), jnp.zeros((3, n)), jnp.zeros((3, 3, n))), bodies)[0]
+
+
+def point_inertia(mass: Float[Array, " n"], place: Float[Array, "3 n"]) -> Float[Array, "3 3 n"]:
+    """Inertia of point masses about the origin."""
+    identity = jnp.asarray(vectors.IDENTITY)[:, :, None]
+    return mass[None, None] * (dot(place, place)[None, None] * identity - place[:, None] * place[None])
+
+
+class Attached(NamedTuple):
+    """What is fixed to links: (index of its link, or -1 for the base; place in the link's frame) of seats, bores, point
+    masses, and of the two ends of force elements, by their names."""
+
+    seats: Sequence[tuple[int, Any]]
+    bores: Sequence[tuple[int, Any]]
+    masses: Sequence[tuple[int, Any]]
+    elements: dict[str, Sequence[tuple[int, Any]]]
+
+
+def form_of(
+    links: Sequence[Link], plane: str, fractions: Sequence[tuple[np.ndarray, np.ndarray]], attached: Attached
+) -> Form:
+    """The forms of links, whose rfes have these lengths and middles as fractions of the links' lengths."""
+    curves = tuple(link.curve for link in links)
+    parts: list[list[Any]] = [[] for _ in range(8)]
+    for link, curve, (shares, centres) in zip(links, curves, fractions, strict=True):
+        n, edges = len(shares), np.concatenate([[0.0], np.cumsum(shares)])
+        faces = np.arange(n) / max(n - 1, 1)
+        profile = None if link.section is None else Profile(link.spans, link.material, plane)
+        bodies = _between(profile, curve, edges)
+        found = (
+            _places(curve, np.zeros(1)), _places(curve, centres[1:]), _places(curve, edges[1:-1]),
+            _places(curve, faces[:-1]), _places(curve, faces[1:]), _between(profile, curve, faces),
+            jax.tree.map(lambda x: x[..., :1], bodies), jax.tree.map(lambda x: x[..., 1:], bodies),
+        )  # fmt: skip
+        for part, one in zip(parts, found, strict=True):
+            part.append(one)
+    origins, middles, sdes, begins, ends, segments, roots, others = parts
+    places = (_joined(some) for some in ([*origins, *middles], sdes, begins, ends))
+    integrals = (_joined(_padded(some)) for some in (segments, [*roots, *others]))
+    shares = [_shares(curves, links, some) for some in attached[:3]]
+    elements = {name: _shares(curves, links, some) for name, some in attached.elements.items()}
+    return jax.tree.map(lambda x: jnp.asarray(x, jnp.float64), Form(curves, *places, *integrals, *shares, elements))
+
+
+def require_turned(links: Sequence[Link], plane: str) -> None:
+    """Raise InputError for links that lead along the hinges, where nothing says how their sections are turned."""
+    hinge = hinge_of(plane)
+    for link in links:
+        if not link.axis or not is_known([[one.to, one.through or (), one.radius or 0.0] for one in link.axis]):
+            continue
+        s = np.linspace(0.0, float(link.curve.length), LOOKED_AT)
+        along = np.asarray(link.curve.at(s).tangent)[hinge]
+        if (np.abs(along) > 1.0 - LEAST_ACROSS).any():
+            at = s[np.abs(along).argmax()]
+            raise InputError(
+                f"Argument `axis` of link `{link.name}` must not lead along {'xyz'[hinge]}, the direction of the "
+                f"hinges, but does at {at:.3g} m along it, where nothing says how its section is turned; turn the "
+                "frame of the link by `child_orientation` of its joint, so that its axis leads across."
+            )
+
+
+def hinge_of(plane: str) -> int:
+    """The axis of links that lies along the hinges of a plane, 1 or 2."""
+    return 1 if plane == "xz" else 2
+
+
+def _places(curve: Curve, shares: Float[np.ndarray, " n"]) -> Places:
+    return Places(*curve.at(shares * curve.length), share=shares)
+
+
+def _shares(curves: Sequence[Curve], links: Sequence[Link], attached: Sequence[tuple[int, Any]]) -> Any:
+    """Shares of the links' lengths at places: of straight links of x, else of the nearest place on the axis."""
+    found: list[Any] = []
+    for index, place in attached:
+        if index < 0:
+            found.append(0.0)
+            continue
+        curve = curves[index]
+        at = place[0] if not links[index].axis else curve.nearest(array_of(list(place))[:, None])[0]
+        found.append(smaller(larger(at / curve.length, 0.0), 1.0))
+    return array_of(found)
+
+
+def _between(profile: Profile | None, curve: Curve, edges: Float[np.ndarray, " n"]) -> Segments:
+    """Points of Gauss between edges, shares of a link's length."""
+    return segments_of(profile, curve, edges[:-1] * curve.length, edges[1:] * curve.length)
+
+
+def segments_of(profile: Profile | None, curve: Curve, start: Any, stop: Any) -> Segments:
+    """Points of Gauss of the parts of a link from `start` to `stop` (n,) [m], in every part of its curve and its
+    sections, with negative weights where `stop` is smaller; without a profile without mass."""
+    xp: Any = jnp if traced(jax.tree.leaves((curve, profile, start, stop))) else np
+    parts, n = [], len(NODES)
+    for s, weight, span in _pieces(xp, profile, curve, start, stop):
+        found = profile.at(span, s.reshape(-1))
+        parts.append((s, weight, _per_length(xp, found, profile.plane, s.shape)))
+    if not parts:
+        nothing = np.zeros((n, start.shape[0]))
+        parts = [(nothing, nothing, (np.zeros((n, 6, 6, nothing.shape[1])), nothing,
+                                     np.zeros((n, 3, 3, nothing.shape[1]))))]  # fmt: skip
+    s, weight = (xp.concatenate([part[i] for part in parts]) for i in (0, 1))
+    of_section = (xp.concatenate([part[2][i] for part in parts]) for i in range(3))
+    at = curve.at(s.reshape(-1))
+    position, tangent = (xp.moveaxis(one.reshape((3, *s.shape)), 0, 1) for one in (at.position, at.tangent))
+    return Segments(Places(position, tangent, at.roll.reshape(s.shape), s / curve.length), weight, *of_section)
+
+
+def _pieces(xp: Any, profile: Profile | None, curve: Curve, start: Any, stop: Any) -> Iterator[tuple[Any, Any, Span]]:
+    """Places (q, n) [m] and weights [m] of Gauss's points of all parts of a link, and the spans that these are in."""
+    for span in () if profile is None else profile.spans:
+        for k in range(curve.angles.shape[0]):
+            first = xp.maximum(span.begin, curve.edges[k])
+            last = xp.maximum(first, xp.minimum(span.end, curve.edges[k + 1]))
+            low, high = (xp.minimum(xp.maximum(x, first), last) for x in (start, stop))
+            s = 0.5 * (low + high)[None] + 0.5 * (high - low)[None] * NODES[:, None]
+            yield s, 0.5 * (high - low)[None] * WEIGHTS[:, None], span
+
+
+def _per_length(xp: Any, found: SectionProperties, plane: str, shape: tuple[int, ...]) -> tuple[Any, Any, Any]:
+    """Compliance (q, 6, 6, n), density (q, n) and rotary (q, 3, 3, n) of sections, in their axes along a link's."""
+    y, z = plane_names(plane)
+    names = "axial", f"shear_{y}", f"shear_{z}", "torsion", f"bending_{y}", f"bending_{z}"
+    compliance = [1.0 / xp.broadcast_to(getattr(found, name), shape[0] * shape[1]).reshape(shape) for name in names]
+    rotary = [
+        xp.broadcast_to(getattr(found, f"rotary_{axis}"), shape[0] * shape[1]).reshape(shape) for axis in ("x", y, z)
+    ]
+    density = xp.broadcast_to(found.line_density, shape[0] * shape[1]).reshape(shape)
+    return _diagonal(xp, compliance), density, _diagonal(xp, rotary)
+
+
+def _diagonal(xp: Any, entries: list[Any]) -> Any:
+    """Diagonal matrices (q, k, k, n) of k entries (q, n)."""
+    return xp.stack(entries, axis=1)[:, :, None] * np.eye(len(entries))[None, :, :, None]
+
+
+def _padded(parts: list[Segments]) -> list[Segments]:
+    """With as many points each, those that are added without weight."""
+    most = max(part.weight.shape[0] for part in parts)
+    filled = []
+    for part in parts:
+        xp: Any = jnp if traced(jax.tree.leaves(part)) else np
+        more = np.arange(most) % part.weight.shape[0]
+        weight = xp.where(np.arange(most)[:, None] < part.weight.shape[0], part.weight[more], 0.0)
+        filled.append(eqx.tree_at(lambda one: one.weight, jax.tree.map(lambda x, more=more: x[more], part), weight))
+    return filled
+
+
+def _joined(parts: Sequence[Any]) -> Any:
+    """Parts of all links beside each other."""
+    xp: Any = jnp if traced([leaf for part in parts for leaf in jax.tree.leaves(part)]) else np
+    return jax.tree.map(lambda *some: xp.concatenate(some, axis=-1), *parts)
+
+
+def drawn(elements: int) -> tuple[Float[np.ndarray, " points"], Int[np.ndarray, " points"]]:
+    """Shares of its length at which a link with a form is drawn, and the numbers of the rfes that hold these."""
+    shares = np.linspace(0.0, 1.0, DRAWN * max(elements - 1, 2) + 1)
+    if elements == 1:
+        return shares, np.zeros(len(shares), dtype=int)
+    return shares, np.clip((shares * (elements - 1) + 0.5).astype(int), 0, elements - 1)
