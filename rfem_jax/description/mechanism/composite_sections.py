@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
-import jax.numpy as jnp
 import numpy as np
 
 from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError
@@ -33,11 +32,10 @@ from rfem_jax.description.mechanism.section_bases import (
     EdgePoint,
     OwnStiffness,
     convert_numbers,
+    inverse_of,
     refuse_material,
     require_edge,
     require_triangle,
-    scaled_matrix,
-    stacked,
 )
 
 _SYMMETRY = 1e-9  # of the roots of both entries of the diagonal
@@ -119,27 +117,25 @@ class CompositeSection(OwnStiffness, NumberTree, ChecksItself):
 
     @property
     def gaps(self) -> tuple[Number, ...]:
-        """The smallest eigenvalue of the stiffness, with ones in its diagonal, must be greater than zero."""
-        matrix, _ = scaled_matrix(stacked(self.stiffness))
-        return (_linear_algebra(matrix).eigvalsh(matrix)[0],)
+        """The pivots of the stiffness."""
+        return tuple(inverse_of(self.stiffness)[1])
 
     def edge_stresses(self) -> tuple[EdgePoint, ...]:
         """At the corners of the rectangle around the section, of the strains there, with the largest shear stress of
         torsion; none if the edge is not given."""
         if self.edge_y is None or self.edge_z is None or self.edge_modulus is None or self.torsion_modulus is None:
             return ()
-        matrix, root = scaled_matrix(stacked(self.stiffness))
-        flexibility = _linear_algebra(matrix).inv(matrix) * root[..., :, None] * root[..., None, :]
+        flexibility, _ = inverse_of(self.stiffness)
         shear = 0.0, 0.0, 0.0, 1.0 / self.torsion_modulus, 0.0, 0.0
         points = []
         for a in (1.0, -1.0):
             for b in (1.0, -1.0):
-                strain = (
-                    flexibility[..., 0, :]
-                    + b * self.edge_z * flexibility[..., 4, :]
-                    - a * self.edge_y * flexibility[..., 5, :]
+                y, z = a * self.edge_y, b * self.edge_z
+                strains = (
+                    flexibility[..., 0, i] + z * flexibility[..., 4, i] - y * flexibility[..., 5, i]
+                    for i in range(_LOADS)
                 )
-                points.append((*(self.edge_modulus * strain[..., i] for i in range(_LOADS)), *shear))
+                points.append((*(self.edge_modulus * strain for strain in strains), *shear))
         return tuple(points)
 
     def properties(self, material: Any = None) -> CoupledProperties:
@@ -151,10 +147,6 @@ class CompositeSection(OwnStiffness, NumberTree, ChecksItself):
         return CoupledProperties(
             *diagonal, self.line_density, *rotary, self.damping, self.stiffness, *offset, self.rotary_inertia_yz
         )
-
-
-def _linear_algebra(matrix: Any) -> Any:
-    return np.linalg if isinstance(matrix, np.ndarray) else jnp.linalg
 
 
 def _read_matrix(given: Any) -> tuple[tuple[Numbers, ...], ...]:

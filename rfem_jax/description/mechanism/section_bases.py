@@ -200,11 +200,18 @@ def stacked(rows: Sequence[Sequence[Numbers]]) -> Float[np.ndarray, "*n r c"] | 
     return xp.stack(entries, axis=-1).reshape((*entries[0].shape, len(rows), len(rows[0])))
 
 
-def scaled_matrix(matrix: Any) -> tuple[Any, Any]:
-    """A symmetric matrix with ones in its diagonal, and the factors [n] of its rows and columns, whatever its units."""
-    xp: Any = np if isinstance(matrix, np.ndarray) else jnp
-    root = 1.0 / xp.sqrt(xp.diagonal(matrix, axis1=-2, axis2=-1))
-    return matrix * root[..., :, None] * root[..., None, :], root
+def inverse_of(rows: Sequence[Sequence[Numbers]]) -> tuple[Any, list[Numbers]]:
+    """The inverse of a symmetric matrix (r, r), or of one for each of several places (n, r, r), and its pivots: all are
+    positive if it is positive definite."""
+    matrix, pivots, n = stacked(rows), [], len(rows)
+    for k in range(n):
+        unit = np.eye(n)[k].reshape((1,) * (matrix.ndim - 2) + (n,))
+        others, pivot = 1.0 - unit, matrix[..., k, k, None]
+        pivots.append(pivot[..., 0])
+        row = (matrix[..., k, :] * others + unit) / pivot
+        column = unit - matrix[..., :, k] * others
+        matrix = matrix * (others[..., None] * others[..., None, :]) + column[..., None] * row[..., None, :]
+    return matrix, pivots
 
 
 def convert_numbers(checks: Checks, names: Collection[str]) -> None:
