@@ -37,7 +37,7 @@ def forces_at_start(model: Model) -> dict[str, ForceAtStart]:
     forces are not drawn."""
     from rfem_jax.mechanics.laws.frame_forces import START
     from rfem_jax.mechanics.laws.point_laws import GivenLoad
-    from rfem_jax.mechanics.model.nominal_geometry import geometry_of, node_place, place
+    from rfem_jax.mechanics.model.nominal_geometry import axis_places, geometry_of, node_place, place
 
     geometry, found = geometry_of(model), {}
     placed = place(geometry, np.asarray(model.start_joints))
@@ -54,7 +54,8 @@ def forces_at_start(model: Model) -> dict[str, ForceAtStart]:
         rotation, origin = placed.rotation[law.link], placed.origin[law.link]
         value = float(law.end - law.begin) * np.asarray(law.at(START)).mean(axis=1)
         value = rotation @ value if law.turning else value
-        middle = (origin + 0.5 * float(law.begin + law.end) * rotation[:, 0])[None]
+        share = np.array([0.5 * float(law.begin + law.end) / float(model.length[law.link])])
+        middle = origin[None] + axis_places(model, law.link, share) @ rotation.T
         found[name] = ForceAtStart(value[None], np.zeros((1, 3)), middle, middle)
     return found
 

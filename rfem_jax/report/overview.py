@@ -82,6 +82,10 @@ def link_rows(mechanism: Mechanism) -> list[list[str]]:
         shape = "rigid body" if link.section is None else section_text(link.section)
         if link.stations:
             shape = " to ".join(dict.fromkeys(section_text(section) for section in link.sections))
+        if link.axis:
+            shape += f"; axis through {len(link.axis) + 1} points"
+        if link.form_errors:
+            shape += "; may be bowed"
         rows.append([link.name, f"{link.length:.6g}", f"{link.mass:.6g}", rfes, points, shape])
     return rows
 

@@ -89,7 +89,7 @@ CASES = [
     (four_bar, "moment", "geometrically_exact"),
     (tapered_four_bar, "prescribed", "linear"),
     (tapered_four_bar, "moment", "geometrically_exact"),
-    (curved_four_bar, "prescribed", "linear"),
+    pytest.param((curved_four_bar, "prescribed", "linear"), marks=pytest.mark.long),
     (curved_four_bar, "moment", "geometrically_exact"),
     (open_chain, "prescribed", "geometrically_exact"),
     (chain_of_kinds, "prescribed", "geometrically_exact"),

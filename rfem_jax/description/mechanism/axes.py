@@ -85,11 +85,11 @@ def curve_of(axis: Sequence[AxisPoint], through_points: bool) -> Curve:
 def _leg(point: AxisPoint, begin: Any, last: Any, more: Sequence[Any]) -> tuple[list[Piece], Any]:
     """The pieces that lead to a point, with its bend, and where they end."""
     if point.through is not None:
-        return arc(begin, array_of(point.through), last), last
+        return [arc(begin, array_of(point.through), last)], last
     if point.radius is None or not more:
         return [straight(begin, last)], last
     first, middle, end = _bend(begin, last, more[0], point.radius)
-    return [straight(begin, first), *arc(first, middle, end)], end
+    return [straight(begin, first), arc(first, middle, end)], end
 
 
 def _bend(before: Any, corner: Any, after: Any, radius: Number) -> tuple[Any, Any, Any]:

@@ -22,7 +22,6 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
 NODES, WEIGHTS = 0.5 * (1.0 + NODES), 0.5 * WEIGHTS  # from 0 to 1
 STEPS = 6  # of Newton's method, which doubles the digits
 LOOKED_AT = 24  # places of each piece where the nearest one is looked for
-ARC_PARTS = 4  # pieces of an arc, each of less than 90 degrees
 
 
 class CurvePoint(NamedTuple):
@@ -131,8 +130,8 @@ def straight(first: Any, last: Any) -> Piece:
     return Piece(powers, np.zeros((2, 3)), 0.0, xp.sqrt(xp.sum(along**2)))
 
 
-def arc(first: Any, through: Any, last: Any) -> list[Piece]:
-    """The arc from one place to another through a third one (3,) [m], as several pieces."""
+def arc(first: Any, through: Any, last: Any) -> Piece:
+    """The arc from one place to another through a third one (3,) [m]."""
     xp: Any = jnp if traced([first, through, last]) else np
     u, v = through - first, last - first
     w = xp.cross(u, v)
@@ -142,14 +141,9 @@ def arc(first: Any, through: Any, last: Any) -> list[Piece]:
     x, y = xp.sum((v - centre) * out), xp.sum((v - centre) * across)
     whole = xp.arctan2(y, x)
     whole = xp.where(whole > 0.0, whole, whole + 2.0 * np.pi)
-    angle, pieces = whole / ARC_PARTS, []
-    for n in range(ARC_PARTS):
-        cosine, sine = xp.cos(n * angle), xp.sin(n * angle)
-        even, odd = out * cosine + across * sine, across * cosine - out * sine
-        nothing = np.zeros(3)
-        powers = xp.stack([first + centre + even, nothing, nothing, nothing])
-        pieces.append(Piece(powers, xp.stack([even, odd]), angle, xp.sqrt(xp.sum(out**2)) * angle))
-    return pieces
+    nothing = np.zeros(3)
+    powers = xp.stack([first, nothing, nothing, nothing])
+    return Piece(powers, xp.stack([out, across]), whole, xp.sqrt(xp.sum(out**2)) * whole)
 
 
 def smooth(points: Sequence[Any]) -> list[Piece]:

@@ -34,7 +34,7 @@ from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.links import Link
 from rfem_jax.description.mechanism.point_forces import PointLoad
 from rfem_jax.description.mechanism.points import NamedPoint, Point, named_points, read_points
-from rfem_jax.description.tolerances.error_catalogue import BOWS, LINK_ERRORS, error_unit
+from rfem_jax.description.tolerances.error_catalogue import BOWS, LINK_ERRORS, NO_BOW, error_unit
 
 Part = TypeVar("Part", Link, Joint, Force)
 
@@ -268,6 +268,8 @@ class Mechanism(NumberTree, ChecksItself):
     def about_missing(self, name: str) -> str:
         """Why there is no error `name`, and what to do, where its joint exists but is of a kind that has none."""
         joint, _, error = str(name).partition(".")
+        if error in (*BOWS, "straightness") and any(link.name == joint for link in self.links):
+            return NO_BOW
         kinds = {one.name: one.kind for one in self.joints}
         return why_no_error(kinds[joint], error) if joint in kinds else ""
 

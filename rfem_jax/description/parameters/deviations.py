@@ -20,8 +20,13 @@ from rfem_jax.description.drives.numbers_by_name import NUMBER_DIMENSIONS, drive
 from rfem_jax.description.mechanism.mechanism import Mechanism
 from rfem_jax.description.parameters.parameters import parameters_of
 from rfem_jax.description.parameters.parts import parts_of
-from rfem_jax.description.tolerances.error_catalogue import error_dimension, parameters_being_read, reading_parameters
-from rfem_jax.description.tolerances.zones import SpecifiedZone, is_zone
+from rfem_jax.description.tolerances.error_catalogue import (
+    NO_BOW,
+    error_dimension,
+    parameters_being_read,
+    reading_parameters,
+)
+from rfem_jax.description.tolerances.zones import STRAIGHTNESS, SpecifiedZone, is_zone
 
 
 def require_deviation(mechanism: Mechanism, name: str, where: str = "name") -> None:
@@ -45,6 +50,11 @@ def require_zone(mechanism: Mechanism, zone: SpecifiedZone, where: str) -> None:
     missing = [error for error in zone.errors if error not in mechanism.error_names]
     if missing:
         owner, characteristic = zone.name.rpartition(".")[::2]
+        if characteristic == STRAIGHTNESS:
+            raise InputError(
+                f"{subject(where)} must name zones of links that have their errors, but this mechanism has no "
+                f"`{missing[0]}` for `{zone.name}`; {NO_BOW}"
+            )
         seats = {error.rpartition(".")[0] for error in mechanism.error_names if error.rpartition(".")[2] == "d_x"}
         raise InputError(
             f"{subject(where)} must name zones of joints that have their errors, but this mechanism has no "

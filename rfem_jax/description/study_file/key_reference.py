@@ -12,6 +12,7 @@ from types import NoneType, UnionType
 from typing import Any, get_args
 
 from rfem_jax.description.basics.tables import keys_of
+from rfem_jax.description.mechanism.axes import AxisPoint
 from rfem_jax.description.mechanism.bases import Base
 from rfem_jax.description.mechanism.bearings import Bearing
 from rfem_jax.description.mechanism.clearance import Clearance
@@ -65,6 +66,8 @@ _IN_A_FILE = {  # where a file has something else than the class
     "material": 'name of a table [mechanism.materials.NAME]; none with a section of shape "given"',
     "body": "table {mass = ..., centre = ..., inertia = ...} in the place of section and material; the link is rigid",
     "stations": "list of tables, [{x = ..., section = ..., after = ...}, ...]",
+    "axis": "list of tables, [{to = ..., through = ...}, ...], through which a link leads that is not straight",
+    "form_errors": "whether a straight flexible link has errors of form, its bow; set where a study names these",
     "point_masses": "list of tables, [{mass = ..., position = ...}, ...]",
     "compliance": "table { radial = ..., axial = ..., ... }; none: rigid",
     "clearance": "table { radial = ..., length = ..., stiffness = ..., ... } in the place of compliance; none: no play",
@@ -119,6 +122,7 @@ def key_tables() -> list[KeyTable]:
     for header, kind in (
         ("[[mechanism.links]]", Link),
         ("point_masses of [[mechanism.links]]", PointMass),
+        ("axis of [[mechanism.links]]", AxisPoint),
         ("body of [[mechanism.links]]", RigidBody),
     ):
         tables.append(_table(header, kind, *keys_of(kind), _IN_A_FILE))
@@ -138,7 +142,11 @@ def key_tables() -> list[KeyTable]:
     either = Key("ERROR = ...", "-", "a half-width alone, or a table { ... } of the keys below")
     tables.append(KeyTable(tolerance.header, (either, *tolerance.keys)))
     zone = _table("[tolerances] JOINT.position", SpecifiedZone, *keys_of(SpecifiedZone, omit=("name",)))
-    either = Key("JOINT.position = ...", "-", "or coaxiality, parallelism, perpendicularity: a diameter, or a table")
+    either = Key(
+        "JOINT.position = ...",
+        "-",
+        "or coaxiality, parallelism, perpendicularity, LINK.straightness: a diameter, or a table",
+    )
     tables.append(KeyTable(zone.header, (either, *zone.keys)))
     tables.append(_table("[[tolerances.correlated]]", CorrelatedTolerances, *keys_of(CorrelatedTolerances)))
     for name, kind in asked_classes().items():

@@ -46,7 +46,13 @@ from rfem_jax.description.metrics.subjects import points_of, require_metric, sub
 from rfem_jax.description.parameters.design_table import read_design
 from rfem_jax.description.parameters.deviations import known_while_reading, require_signs, require_sizes
 from rfem_jax.description.study_file.statics import Statics
-from rfem_jax.description.study_file.study_reader import read_drive, read_drives, read_mechanism, read_simulation
+from rfem_jax.description.study_file.study_reader import (
+    read_drive,
+    read_drives,
+    read_mechanism,
+    read_simulation,
+    with_form_errors,
+)
 from rfem_jax.description.tasks.settings import metric_names
 from rfem_jax.description.tasks.study_tasks import Tasks, read_tasks
 from rfem_jax.description.tolerances.error_catalogue import error_dimension
@@ -376,6 +382,8 @@ def _read_study(content: dict[str, Any], path: Path) -> Study:
     if "statics" in content:
         required, optional = required[:1], (*required[1:], *optional)
     content = checked_table(content, "The top level", required, (*optional, *task_kinds()), problems)
+    if "mechanism" in content:
+        content["mechanism"] = with_form_errors(content)
     parts: dict[str, Any] = {"title": path.stem, "drive": None, "path": path}
     parts |= {name: content[name] for name in ("title", "note", "metrics") if name in content}
     readers: dict[str, Callable[[Any], Any]] = {

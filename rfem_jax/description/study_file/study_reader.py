@@ -36,6 +36,7 @@ from rfem_jax.description.drives.translations import (
     PrescribedRunUp,
     PrescribedSpeed,
 )
+from rfem_jax.description.mechanism.axes import AxisPoint
 from rfem_jax.description.mechanism.bases import Base
 from rfem_jax.description.mechanism.couplings import Coupling
 from rfem_jax.description.mechanism.links import Link, PointMass
@@ -59,6 +60,7 @@ from rfem_jax.description.mechanism.sections import (
 from rfem_jax.description.mechanism.stations import Station
 from rfem_jax.description.methods import Method, named_method, setting_names
 from rfem_jax.description.study_file.force_reader import read_force, read_joint, read_spring
+from rfem_jax.description.tolerances.error_catalogue import BOWS
 
 SHAPES = {
     "rectangle": Rectangle,
@@ -113,6 +115,32 @@ def read_mechanism(table: object) -> Mechanism:
     if ABSENT not in (joints, springs, forces, couplings):
         parts["forces"] = [*(one for _, some in joints for one in some), *springs, *forces, *couplings]
     return build(Mechanism, parts, place, problems)
+
+
+def with_form_errors(content: dict[str, Any]) -> Any:
+    """The table [mechanism] of a study, in which the links have errors of form that are named anywhere else."""
+    mechanism, named = content.get("mechanism"), set[str]()
+
+    def look_at(part: Any) -> None:
+        if isinstance(part, dict):
+            for key, value in part.items():
+                look_at(key)
+                look_at(value)
+        elif isinstance(part, list):
+            for one in part:
+                look_at(one)
+        elif isinstance(part, str) and part.endswith((*(f".{name}" for name in BOWS), ".straightness")):
+            named.add(part.rpartition(".")[0])
+
+    look_at({key: one for key, one in content.items() if key != "mechanism"})
+    if not named or not isinstance(mechanism, dict) or not isinstance(mechanism.get("links"), list):
+        return mechanism
+
+    def asked(link: Any) -> Any:
+        formed = isinstance(link, dict) and link.get("name") in named and not link.keys() & {"axis", "body"}
+        return {"form_errors": True} | link if formed and link.get("rigid") is not True else link
+
+    return mechanism | {"links": [asked(link) for link in mechanism["links"]]}
 
 
 def _read_points(entries: Any) -> list[Point | str]:
@@ -224,6 +252,9 @@ def _read_link(table: object, place: str, materials: Any, sections: Any) -> Link
     if "stations" in settings:
         header, read = f"{place} stations", partial(_read_station, sections=sections)
         settings["stations"] = problems.attempt(read_list, settings["stations"], header, read)
+    if "axis" in settings:
+        header, read = f"{place} axis", partial(read_table, AxisPoint)
+        settings["axis"] = problems.attempt(read_list, settings["axis"], header, read)
     if "body" in settings:
         settings["body"] = problems.attempt(read_table, RigidBody, settings["body"], f"{place} body")
     return build(Link, settings, place, problems)

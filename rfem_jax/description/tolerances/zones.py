@@ -9,6 +9,8 @@ y = +- l/2 of the bearing lie in discs of radius D/2, each uniform in its own, a
     the same without a length             d_x, d_z in a disc of radius D/2; nothing is said of tilts
     parallelism, perpendicularity         delta_x, delta_z in a disc of radius D/l
     sphere (ball joints)                  d_x, d_y, d_z in a ball of radius D/2
+    straightness of a link                bow_y, bow_z in a disc of radius D: a half-wave of the amplitude D just lies
+                                          in a cylinder of the diameter D
 
 A fit "25 H7/g6" in the place of a diameter is a cylinder of the largest clearance, in which the pin lies. Other zones
 (between parallel planes or lines) are intervals of one error: give this error a tolerance of its own.
@@ -25,9 +27,11 @@ from jaxtyping import Float
 from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError, require_choice
 from rfem_jax.description.basics.iso_fits import clearance_fit
 from rfem_jax.description.basics.units import DERIVED, positive_quantity
+from rfem_jax.description.tolerances.error_catalogue import BOWS
 
-CHARACTERISTICS = ("position", "coaxiality", "parallelism", "perpendicularity")
-OF_DIRECTION = CHARACTERISTICS[2:]
+STRAIGHTNESS = "straightness"
+CHARACTERISTICS = ("position", "coaxiality", "parallelism", "perpendicularity", STRAIGHTNESS)
+OF_DIRECTION = CHARACTERISTICS[2:4]
 SHAPES = ("cylinder", "sphere")
 
 
@@ -37,7 +41,7 @@ class SpecifiedZone(ChecksItself):
 
     Args:
         name: the seat or bore and the characteristic: "D.position", "D.child.position", "D.coaxiality",
-            "D.parallelism" or "D.perpendicularity".
+            "D.parallelism" or "D.perpendicularity"; or a link and "straightness".
         diameter: D of the zone [m]; this or else `fit`.
         zone: its shape, "cylinder" or "sphere" (position alone).
         length: l of the bearing [m], over which the axis lies in the cylinder; None, for a position: tilts are not
@@ -75,6 +79,11 @@ class SpecifiedZone(ChecksItself):
             object.__setattr__(self, "diameter", clearance[1])
 
     def _fitting(self, where: str) -> None:
+        if self.characteristic == STRAIGHTNESS and self.length is not None:
+            raise InputError(
+                f"Argument `length` {where} must be left out, since a straightness is of all of a link, but was given; "
+                "remove it."
+            )
         if self.zone == "sphere" and (self.characteristic != "position" or self.length is not None):
             raise InputError(
                 f'Argument `zone` {where} must be "cylinder" for what has a direction, but is "sphere"; a sphere is '
@@ -95,6 +104,8 @@ class SpecifiedZone(ChecksItself):
     def errors(self) -> tuple[str, ...]:
         """Names of the errors, in the order of the matrix."""
         owner = self.name.rpartition(".")[0]
+        if self.characteristic == STRAIGHTNESS:
+            return tuple(f"{owner}.{name}" for name in BOWS)
         if self.characteristic in OF_DIRECTION:
             names: tuple[str, ...] = ("delta_x", "delta_z")
         elif self.zone == "sphere":
@@ -111,6 +122,8 @@ class SpecifiedZone(ChecksItself):
     def matrix(self) -> Float[np.ndarray, "d d"]:
         """M (d, d) [m, rad] of the errors e = M y, y in the balls; with a length y = (p_+, p_-)/(D/2)."""
         radius = 0.5 * self.diameter
+        if self.characteristic == STRAIGHTNESS:
+            return self.diameter * np.eye(2)
         if self.characteristic in OF_DIRECTION:
             return 2.0 * radius / _given(self.length) * np.eye(2)
         if self.length is None or self.zone == "sphere":
@@ -135,8 +148,8 @@ def _zone_name(name: object) -> str:
     owner, _, characteristic = str(name).rpartition(".")
     if not owner or characteristic not in CHARACTERISTICS:
         raise InputError(
-            f"Argument `name` of a zone must be a joint, a dot and one of {', '.join(CHARACTERISTICS)}, but was "
-            f'{name!r}; write for example "D.position".'
+            f"Argument `name` of a zone must be a joint, or a link for straightness, a dot and one of "
+            f'{", ".join(CHARACTERISTICS)}, but was {name!r}; write for example "D.position".'
         )
     return str(name)
 

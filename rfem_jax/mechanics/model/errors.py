@@ -19,7 +19,7 @@ from rfem_jax.compilation.naming import Names
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.basics.errors import InputError, suggestion
 from rfem_jax.description.basics.units import quantity
-from rfem_jax.description.tolerances.error_catalogue import BOWS, error_dimension
+from rfem_jax.description.tolerances.error_catalogue import BOWS, NO_BOW, error_dimension
 from rfem_jax.mechanics.algebra.reordering import rows
 from rfem_jax.mechanics.model.model import Model, Topology
 from rfem_jax.mechanics.model.planar_loops import require_closable
@@ -192,7 +192,7 @@ def _locate(topology: Topology, name: str, about: str) -> tuple[str, int | tuple
     if name not in topology.error_names:
         raise InputError(
             f"Argument `errors` must name errors of the model, but {name!r} is not one; "
-            f"{about or suggestion(name, topology.error_names)}"
+            f"{about or (NO_BOW if name.endswith(BOWS) else suggestion(name, topology.error_names))}"
         )
     owner, *middle, kind = name.split(".")
     if kind in BOWS:

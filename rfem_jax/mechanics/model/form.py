@@ -30,7 +30,7 @@ from rfem_jax.mechanics.algebra import vectors
 from rfem_jax.mechanics.algebra.vectors import apply, cross, cross_matrix, dot, product, scaled
 from rfem_jax.mechanics.model.profiles import Profile
 
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(12)  # for an arc of 270 degrees to rounding
 LEAST_ACROSS = 0.01  # 1 - of a tangent's part along the hinges, below which nothing says how sections are turned
 LOOKED_AT = 200  # places of a curve
 # About x: y of a joint, or of a section, is z of its link in the plane xy.

@@ -99,6 +99,14 @@ def offset(
     return rotation[..., 0] * rest if rest.ndim == 0 else rotation @ rest
 
 
+def axis_places(model: Model, link: int, shares: Float[np.ndarray, " points"]) -> Float[np.ndarray, "points 3"]:
+    """Places [m] of a model, whose numbers must not be traced, at shares of a link's length, in its frame."""
+    if link not in model.topology.curved:
+        return float(model.length[link]) * shares[:, None] * np.eye(3)[:1]
+    curve = jax.tree.map(np.asarray, model.form.curves[link])
+    return np.asarray(curve.at(shares * curve.length).position).T
+
+
 def _ideal_couplings(model: Model) -> tuple[CouplingLaw, ...]:
     """The laws of the ideal couplings, with their offsets at the start."""
     with jax.ensure_compile_time_eval():

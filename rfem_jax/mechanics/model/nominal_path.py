@@ -11,7 +11,6 @@ norm, since the closure equations of a planar mechanism are redundant.
 
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -20,6 +19,7 @@ from rfem_jax.mechanics.model.model import Model, Topology
 from rfem_jax.mechanics.model.nominal_geometry import (
     NominalGeometry,
     Placed,
+    axis_places,
     gaps,
     geometry_of,
     joint_units,
@@ -141,6 +141,5 @@ def _places(
     """Places x [m], of links with forms vectors, on every link of the points of `centre_lines.link_lines`."""
     length = np.asarray(model.length)
     if model.form is not None:
-        curves = [jax.tree.map(np.asarray, curve) for curve in model.form.curves]
-        return [c.at(drawn(n)[0] * c.length).position.T for n, c in zip(topology.elements, curves)]
+        return [axis_places(model, l, drawn(n)[0]) for l, n in enumerate(topology.elements)]
     return [np.concatenate([[0.0], rest[a:b], [length[l]]]) for l, (a, b) in enumerate(topology.ranges)]

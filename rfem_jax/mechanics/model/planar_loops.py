@@ -25,6 +25,7 @@ from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.nominal_geometry import (
     NominalGeometry,
     Placed,
+    axis_places,
     closure_jacobian,
     gaps,
     geometry_of,
@@ -35,6 +36,7 @@ from rfem_jax.mechanics.model.nominal_geometry import (
 from rfem_jax.mechanics.model.normal_loads import UNIQUE, joint_wrenches
 
 ZERO_ACROSS, LEAST_ACROSS = "zero", "least_norm"
+PLACES = 50  # along a link that must lie in the plane
 IN_PLANE = 1e-9  # of the longest link, of a direction, of a moment of inertia
 DIFFERENCE = 1e-6  # of a number, m or rad, for its effect on the loops
 
@@ -135,7 +137,7 @@ def _is_symmetric(model: Model, state: _SelfStress, normal: np.ndarray) -> bool:
         and all(_link_is_symmetric(model, state, normal, l, inside) for l in range(topology.n_links))
         and all(_mass_is_symmetric(model, state, normal, m, inside) for m in range(len(topology.masses)))
         and all(_force_is_symmetric(state, normal, law, inside) for law in (model.frame_forces or {}).values())
-        and all(_line_load_is_symmetric(state, normal, law, inside) for law in (model.line_loads or {}).values())
+        and all(_line_load_is_symmetric(model, state, normal, law, inside) for law in (model.line_loads or {}).values())
     )
 
 
@@ -145,7 +147,10 @@ def _link_is_symmetric(model: Model, state: _SelfStress, normal: np.ndarray, lin
         return True
     rotation, origin = state.placed.rotation[link], state.placed.origin[link]
     principal = np.abs(rotation.T @ normal)[1:].max()
-    return bool(inside(origin, origin + float(model.length[link]) * rotation[:, 0]) and principal >= 1.0 - IN_PLANE)
+    turned = model.form is not None and np.any(np.asarray(model.form.curves[link].rolls))
+    places = axis_places(model, link, np.linspace(0.0, 1.0, PLACES if link in model.topology.curved else 2))
+    lies = inside(*(origin + rotation @ place for place in places))
+    return bool(lies and principal >= 1.0 - IN_PLANE and not turned)
 
 
 def _mass_is_symmetric(model: Model, state: _SelfStress, normal: np.ndarray, mass: int, inside) -> bool:
@@ -178,12 +183,15 @@ def _force_is_symmetric(state: _SelfStress, normal: np.ndarray, law, inside) -> 
     return bool(fits and (law.moment or inside(points[1])))
 
 
-def _line_load_is_symmetric(state: _SelfStress, normal: np.ndarray, law: LineLoad, inside) -> bool:
+def _line_load_is_symmetric(model: Model, state: _SelfStress, normal: np.ndarray, law: LineLoad, inside) -> bool:
     """Whether a force along a link acts in the plane; of functions of time that is not known."""
     rotation, origin = state.placed.rotation[law.link], state.placed.origin[law.link]
     ends = [one for one in (law.first, law.last) if one is not None]
     constant = [np.asarray(one.values) for one in ends if isinstance(one, ConstantVector)]
-    if len(constant) < len(ends) or not inside(*(origin + float(x) * rotation[:, 0] for x in (law.begin, law.end))):
+    length = float(model.length[law.link])
+    shares = np.linspace(float(law.begin), float(law.end), PLACES) / length
+    places = (origin + rotation @ place for place in axis_places(model, law.link, shares))
+    if len(constant) < len(ends) or not inside(*places):
         return False
     values = [rotation @ value if law.turning else value for value in constant]
     return bool(all(abs(value @ normal) <= IN_PLANE * np.linalg.norm(value) for value in values))

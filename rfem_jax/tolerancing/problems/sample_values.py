@@ -101,10 +101,14 @@ def on_devices(mesh: Mesh, function: Callable[..., Any], given: Any, *rows: Arra
 
     Args: function, returns arrays with as many rows; given, a pytree that all devices have.
     """
-    arrays, static = eqx.partition(given, eqx.is_array)
+    # By leaves: the sections of tapered links would take a tree of truth values for their counts and choices.
+    leaves, tree = jax.tree.flatten(given)
+    arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
 
     def of_device(arrays, *rows):
-        return function(eqx.combine(arrays, static), *rows)
+        left = iter(arrays)
+        filled = [next(left) if eqx.is_array(leaf) else leaf for leaf in leaves]
+        return function(jax.tree.unflatten(tree, filled), *rows)
 
     by_rows = over_samples(mesh).spec
     places = PartitionSpec(), *[by_rows] * len(rows)
