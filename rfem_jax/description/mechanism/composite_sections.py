@@ -2,7 +2,7 @@
 
 Place in the pipeline: section_bases -> **composite_sections** -> sections.
 
-Source: theory (1.24). Matrices of this kind come from programs for cross sections of composites.
+Source: theory (18.7), (18.8). Matrices of this kind come from programs for cross sections of composites.
 """
 
 from collections.abc import Sequence

@@ -3,7 +3,7 @@
 Place in the pipeline: materials -> **section_bases** -> sections, walled_sections, polygons.
 
 Symbols: A [m^2] area; I_y [m^4] second moment for bending in the plane of motion (about y), I_z out of it (about z);
-J_t [m^4] torsion constant; kappa [1] shear factor. Source: theory (1.1), (8.11).
+J_t [m^4] torsion constant; kappa [1] shear factor. Source: theory (1.1), (8.11), (18.7).
 """
 
 import abc

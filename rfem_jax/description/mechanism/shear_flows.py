@@ -4,7 +4,7 @@ Place in the pipeline: **shear_flows** -> walled_sections.
 
 A wall is straight, of one thickness, and stands for its middle line. The flow q [N/m] along it starts with what the
 walls before it bring, nothing at a free end, and grows by the bending stress that a shear force makes along the link.
-Source: theory (1.21), (1.22). The formulas take floats, arrays and traced numbers alike.
+Source: theory (18.5), (18.6). The formulas take floats, arrays and traced numbers alike.
 """
 
 from collections.abc import Sequence

@@ -5,7 +5,7 @@ Place in the pipeline: section_bases, shear_flows -> **walled_sections** -> sect
 Corners are sharp: fillets are left out, which makes a rolled section of steel up to a few per cent too light and too
 compliant. Areas and second moments are exact; shear factors (Poisson's ratio 0) and shear centres are those of thin
 walls. Warping is free: an end that prevents it makes torsion of an I, a channel or a hollow rectangle stiffer.
-Source: theory (1.20) to (1.24); G. R. Cowper, J. Appl. Mech. 33 (1966) 335-340; torsion constants: I. A. El Darwish,
+Source: theory (18.1) to (18.8); G. R. Cowper, J. Appl. Mech. 33 (1966) 335-340; torsion constants: I. A. El Darwish,
 B. G. Johnston, Torsion of structural shapes, J. Struct. Div. ASCE 91 (ST1, 1965) 203-227.
 """
 
