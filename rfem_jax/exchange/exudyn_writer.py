@@ -110,6 +110,9 @@ def _require_translated(study: Study) -> None:
     ]  # fmt: skip
     told = {
         "forces other than springs": others,
+        "links with an axis or errors of form": [
+            f"`{link.name}`" for link in mechanism.links if link.axis or link.form_errors
+        ],
         "joints of these kinds": kinds,
         "compliant joints and clearances": loose,
         "torsion springs in joints other than hinges": turning,

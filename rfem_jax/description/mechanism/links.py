@@ -122,7 +122,7 @@ class Link(NumberTree, ChecksItself):
         axis: AxisPoint objects, through which the axis of a link leads that is not straight, from the origin of its
             frame; (): the axis is x.
         smooth: True makes the axis the smooth curve through all points.
-        form_errors: True gives a straight flexible link errors of form, its bow.
+        form_errors: True gives a straight link with a section errors of form, its bow.
     Raises:
         InputError: a value is out of range or of the wrong kind.
     """
@@ -160,7 +160,7 @@ class Link(NumberTree, ChecksItself):
         if self.axis:
             checks.relation(("axis", "smooth"), self._take_axis, of)
         else:
-            checks.convert("length", positive_number, "length", f"`length` {of}")
+            checks.convert("length", _length, of)
         if self.body is None:
             give = "give a rigid link one too, for its mass, or a `body`."
             checks.convert("section", require_instance, f"`section` {of}", SECTION_KINDS, give)
@@ -178,7 +178,7 @@ class Link(NumberTree, ChecksItself):
         checks.convert("rfes", _number_of_rfes, of)
         for name in GRADIENTS:
             checks.relation(("rigid", "rfes", "axis", name), self._check_bends, name, of)
-        checks.relation(("rigid", "rfes", "axis", "smooth", "form_errors"), self._check_forms, of)
+        checks.relation(("axis", "smooth", "body", "form_errors"), self._check_forms, of)
         checks.convert("point_masses", _masses, of)
         checks.convert("stations", require_stations, of)
         checks.relation(("length", "section", "body", "stations"), self._check_stations, of)
@@ -241,10 +241,10 @@ class Link(NumberTree, ChecksItself):
             raise InputError(
                 f"Argument `smooth` {of} must be left out where there is no `axis`, but was True; give one."
             )
-        if self.form_errors and (self.axis or not self.flexible):
+        if self.form_errors and (self.axis or self.body is not None):
             raise InputError(
-                f"Argument `form_errors` {of} must be left out where the link is rigid or has an `axis`; of such an "
-                "axis its points may deviate."
+                f"Argument `form_errors` {of} must be left out where the link has an `axis`, whose points may deviate, "
+                "or a body, but was True; leave it out."
             )
 
     def _check_stations(self, of: str) -> None:
@@ -342,6 +342,14 @@ class Link(NumberTree, ChecksItself):
         """All mass [kg], that of point masses included."""
         own = self.beam_mass if self.body is None else self.body.mass
         return own + sum(point.mass for point in self.point_masses)
+
+
+def _length(length: Any, of: str) -> Any:
+    if length is None:
+        raise InputError(
+            f"Argument `length` {of} must be given, but is missing; add it, or an `axis` if the link is not straight."
+        )
+    return positive_number(length, "length", f"`length` {of}")
 
 
 def _number_of_rfes(rfes: Any, of: str) -> int:

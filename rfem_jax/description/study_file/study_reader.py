@@ -138,7 +138,7 @@ def with_form_errors(content: dict[str, Any]) -> Any:
 
     def asked(link: Any) -> Any:
         formed = isinstance(link, dict) and link.get("name") in named and not link.keys() & {"axis", "body"}
-        return {"form_errors": True} | link if formed and link.get("rigid") is not True else link
+        return {"form_errors": True} | link if formed else link
 
     return mechanism | {"links": [asked(link) for link in mechanism["links"]]}
 
@@ -236,7 +236,10 @@ def section_keys(shape: str) -> tuple[list[str], list[str]]:
 
 def _read_link(table: object, place: str, materials: Any, sections: Any) -> Link:
     problems = Problems()
-    settings = checked_table(table, place, *keys_of(Link), problems)
+    required, optional = keys_of(Link)
+    if not (isinstance(table, dict) and "axis" in table):
+        required, optional = [*required, "length"], [key for key in optional if key != "length"]
+    settings = checked_table(table, place, required, optional, problems)
     for key, known in (("section", sections), ("material", materials)):
         if settings.get(key, ABSENT) is not ABSENT:
             settings[key] = problems.attempt(_named_part, settings[key], known, key, place)

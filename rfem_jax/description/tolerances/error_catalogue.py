@@ -24,8 +24,8 @@ LINK_ERRORS = {"length": "length", "twist": "angle"}
 BOWS = ("bow_y", "bow_z")  # of links with errors of form
 _KNOWN = {**JOINT_ERRORS, **LINK_ERRORS, **dict.fromkeys(BOWS, "length")}
 NO_BOW = (
-    "errors of form are of straight flexible links with `form_errors = True` (studies that name them set it); of a "
-    "link with an axis its points may deviate."
+    "errors of form are of straight links with a section and `form_errors = True` (studies that name them set it); of "
+    "a link with an axis its points may deviate."
 )
 _parameters: ContextVar[Mapping[str, str] | None] = ContextVar("parameters", default=MappingProxyType({}))
 

@@ -125,7 +125,7 @@ class ActualForm(eqx.Module):
 def shaped(
     places: Places, scale: Float[Array, " n"], bow: Float[Array, "2 n"], length: Float[Array, " n"], hinge: int
 ) -> Shaped:
-    """Places with the errors of their links (theory (1.25))."""
+    """Places with the errors of their links (theory (1.26))."""
     across = jnp.concatenate([jnp.zeros((1, *scale.shape)), bow])
     angle = np.pi * places.share
     position = scaled(scale, places.position) + scaled(jnp.sin(angle), across)
@@ -181,7 +181,7 @@ def bodies_of(
     bodies: Segments, errors: tuple[Array, Array, Array], about: Float[Array, "3 nodes"], hinge: int
 ) -> tuple[Float[Array, " nodes"], Float[Array, "3 nodes"], Float[Array, "3 3 nodes"]]:
     """Mass, first moment about the reference points `about` and inertia about these of parts of links, of errors as
-    above (theory (1.26))."""
+    above (theory (1.25))."""
 
     def add(total, part):
         place = shaped(part.places, *errors, hinge)

@@ -180,7 +180,7 @@ def _bowed(
     shares: Float[Array, " n"] | None,
 ) -> Float[Array, "3 n"]:
     """Places in frames of nodes, at shares of the links' lengths, with the bows of their links; on links with an axis y
-    and z as much longer as x becomes in what follows (theory (1.25))."""
+    and z as much longer as x becomes in what follows (theory (1.26))."""
     if bow is None or model.form is None or shares is None or not len(nodes):
         return position
     topology = model.topology
@@ -469,7 +469,7 @@ def _spring_damping_elements(model: Model, length: Array) -> dict[str, Array]:
 
 def _shaped_elements(model: Model, bow: Array, length: Array, scale: Array) -> dict[str, Any]:
     """As `_spring_damping_elements`, of links with forms; places and lever arms are vectors (theory (1.22) to
-    (1.25))."""
+    (1.24))."""
     topology, form, hinge = model.topology, model.form, hinge_of(model.topology.plane)
     assert form is not None
     link = topology.link_of_rfe.astype(int)
