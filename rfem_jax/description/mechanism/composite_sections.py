@@ -141,11 +141,23 @@ class CompositeSection(OwnStiffness, NumberTree, ChecksItself):
     def properties(self, material: Any = None) -> CoupledProperties:
         """Return the given values; `material` must be None."""
         refuse_material(material)
-        rotary = (self.rotary_inertia_x, self.rotary_inertia_y, self.rotary_inertia_z)
-        offset = self.mass_offset_y, self.mass_offset_z
-        diagonal = (self.stiffness[i][i] for i in range(_LOADS))
+        axial, shear_y, shear_z, torsion, bending_y, bending_z = (self.stiffness[i][i] for i in range(_LOADS))
         return CoupledProperties(
-            *diagonal, self.line_density, *rotary, self.damping, self.stiffness, *offset, self.rotary_inertia_yz
+            axial=axial,
+            shear_y=shear_y,
+            shear_z=shear_z,
+            torsion=torsion,
+            bending_y=bending_y,
+            bending_z=bending_z,
+            line_density=self.line_density,
+            rotary_x=self.rotary_inertia_x,
+            rotary_y=self.rotary_inertia_y,
+            rotary_z=self.rotary_inertia_z,
+            damping=self.damping,
+            matrix=self.stiffness,
+            offset_y=self.mass_offset_y,
+            offset_z=self.mass_offset_z,
+            product=self.rotary_inertia_yz,
         )
 
 

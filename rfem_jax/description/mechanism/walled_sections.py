@@ -45,9 +45,6 @@ class Part(NamedTuple):
 class WalledShape(Shape):
     """A section of rectangles side by side, drawn in axes of its own; subclasses give these and its torsion."""
 
-    shear_factor_y: float | None
-    shear_factor_z: float | None
-
     def _check_fields(self, checks: Checks) -> None:
         given = [name for name in self.numbers if not (name in _FACTORS and getattr(self, name) is None)]
         convert_numbers(checks, given)
@@ -106,8 +103,8 @@ class WalledShape(Shape):
 
     def _given(self, along_y: Numbers, along_z: Numbers) -> tuple[Numbers, Numbers]:
         """Shear factors, those that are given in the place of those that are derived."""
-        y = along_y if self.shear_factor_y is None else self.shear_factor_y
-        return y, along_z if self.shear_factor_z is None else self.shear_factor_z
+        y, z = (getattr(self, name, None) for name in _FACTORS)
+        return along_y if y is None else y, along_z if z is None else z
 
     def _shears(self, rigidity: Numbers) -> tuple[Numbers, Numbers]:
         along_y, along_z = self.kappas
@@ -446,8 +443,6 @@ class AngleSection(CoupledShape):
     wall: float
     name: str | None = field(default=None, kw_only=True, compare=False)
 
-    shear_factor_y: ClassVar[None] = None
-    shear_factor_z: ClassVar[None] = None
     numbers: ClassVar[Fields] = dict.fromkeys(("width", "height", "wall"), _SIZE)
 
     @property

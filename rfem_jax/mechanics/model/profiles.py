@@ -79,7 +79,7 @@ class Profile(eqx.Module):
         centre = xp.where(there, total[1] / mass, 0.0)
         return Pieces(total[0], centre, total[2] - total[0] * centre**2, total[3:6], total[6:])
 
-    def edges(self, x: Float[Array, " sections"]) -> Float[Array, "4 points sections"] | None:
+    def edges(self, x: Float[Array, " sections"]) -> Float[Array, "loads points sections"] | None:
         """Stresses at the edge of the sections at places [m], as `Sections.edges`; None where an edge is not known."""
         found: Any = None
         coupled = any(isinstance(span.first, CoupledSection) for span in self.spans)
