@@ -168,6 +168,15 @@ def test_stresses_of_an_angle_are_those_of_its_principal_axes():
         found.recorded["beam.sections"].strain("y")
 
 
+@pytest.mark.parametrize(("section", "across"), [(CHANNEL, "zero"), (ANGLE, "least_norm")])
+def test_an_angle_in_motion_has_loads_across_the_plane(section, across):
+    """Its product of inertia does not let a planar mechanism of rigid links be its own mirror image."""
+    links = [Link(name, length, section, STEEL, rigid=True) for name, length in (("a", 0.1), ("b", 0.3), ("c", 0.3))]
+    joints = [Joint("A", "base", "a"), Joint("B", "a", "b", angle=1.2), Joint("D", "base", "c", position=(0.3, 0.0, 0.0)),
+              Joint("C", "b", "c", cut=True, child_position=(0.3, 0.0, 0.0))]  # fmt: skip
+    assert discretise(Mechanism(links, joints, driven_joint="A")).topology.across == across
+
+
 def test_derivatives_by_sizes_and_stiffnesses():
     """Of two cantilevers at once: sizes of an angle, and a coupling of a laminate."""
     links = [Link("beam", LENGTH, ANGLE, STEEL, rfes=2), Link("spar", LENGTH, laminate(), rfes=2)]
