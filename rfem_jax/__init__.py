@@ -27,7 +27,8 @@ _names = {
         "MomentRamp MomentTable Point PointForce PointMass PointMoment PointSpring PointSpringFunction "
         "PointSpringTable "
         "PrescribedDisplacements PrescribedFunction PrescribedRate PrescribedRunUp PrescribedSpeed "
-        "PrescribedSpinUp PrescribedTable Rectangle RigidBody RungeKutta4 Sensor Station Study Tube load_study"
+        "PrescribedSpinUp PrescribedTable Rectangle RigidBody RungeKutta4 Sensor Station Study Tube load_study "
+        "AngleSection ChannelSection CompositeSection HollowRectangle ISection TeeSection"
     ),
     "mechanics": (
         "AssemblyErrors Coordinates Design Model State STATUS assemble assembly_errors describe design designed "

@@ -60,12 +60,18 @@ from rfem_jax.description.mechanism.point_forces import (
 )
 from rfem_jax.description.mechanism.points import Point
 from rfem_jax.description.mechanism.rigid_bodies import RigidBody
+from rfem_jax.description.mechanism.section_bases import SectionProperties
 from rfem_jax.description.mechanism.sections import (
+    AngleSection,
+    ChannelSection,
     Circle,
+    CompositeSection,
     GivenSection,
+    HollowRectangle,
+    ISection,
     Rectangle,
     Section,
-    SectionProperties,
+    TeeSection,
     Tube,
 )
 from rfem_jax.description.mechanism.stations import Station
@@ -86,14 +92,17 @@ from rfem_jax.description.study_file.study import Case, Study, load_study
 from rfem_jax.description.tasks.identification import Sensor
 
 __all__ = [
+    "AngleSection",
     "Automatic",
     "AxisPoint",
     "Base",
     "Bearing",
     "Case",
+    "ChannelSection",
     "Circle",
     "Clearance",
     "Compliance",
+    "CompositeSection",
     "Coupling",
     "DistributedForce",
     "Explicit",
@@ -105,6 +114,8 @@ __all__ = [
     "GeneralisedAlpha",
     "GivenDrive",
     "GivenSection",
+    "HollowRectangle",
+    "ISection",
     "InputError",
     "Joint",
     "JointForceFunction",
@@ -143,6 +154,7 @@ __all__ = [
     "Sensor",
     "Station",
     "Study",
+    "TeeSection",
     "Tube",
     "load_study",
     "nearest",

@@ -23,6 +23,7 @@ from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.drives.family import GivenDrive
 from rfem_jax.description.mechanism.forces import JointSpring
 from rfem_jax.description.mechanism.point_forces import PointSpring
+from rfem_jax.description.mechanism.sections import CoupledSection
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.exchange.rigid_frames import Frame
 from rfem_jax.mechanics.kinematics.motion import all_frames, motion_of
@@ -112,6 +113,11 @@ def _require_translated(study: Study) -> None:
         "forces other than springs": others,
         "links with an axis or errors of form": [
             f"`{link.name}`" for link in mechanism.links if link.axis or link.form_errors
+        ],
+        "sections that couple bending, shear and torsion": [
+            f"`{link.name}`"
+            for link in mechanism.links
+            if any(isinstance(one, CoupledSection) for one in link.sections)
         ],
         "joints of these kinds": kinds,
         "compliant joints and clearances": loose,

@@ -20,6 +20,7 @@ from rfem_jax.description.mechanism.forces import Force, JointForce, JointForceT
 from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.mechanism import EQUILIBRIUM, Mechanism
 from rfem_jax.description.mechanism.point_forces import AtPoint, PointLoad
+from rfem_jax.description.mechanism.section_bases import OwnStiffness
 from rfem_jax.description.mechanism.sections import Section
 from rfem_jax.description.parameters.deviations import deviation_unit
 from rfem_jax.description.parameters.parameters import parameters_of
@@ -61,14 +62,15 @@ def _errors_text(mechanism: Mechanism, case: Case) -> str:
 def section_text(section: Section) -> str:
     """Shape of a section with its dimensions in mm."""
     shape = type(section).__name__
-    if shape == "GivenSection":
+    if isinstance(section, OwnStiffness):
         return "given stiffnesses"
     sizes = [
         f"{field.name.replace('_', ' ')} {1e3 * getattr(section, field.name):.6g} mm"
         for field in fields(section)
-        if field.name not in ("shear_factor", "name")
+        if not field.name.startswith("shear_factor") and field.name != "name"
     ]
-    return ", ".join([shape.lower(), *sizes])
+    words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", shape).lower() if shape != "ISection" else "I section"
+    return ", ".join([words, *sizes])
 
 
 def link_rows(mechanism: Mechanism) -> list[list[str]]:

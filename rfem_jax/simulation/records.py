@@ -32,6 +32,7 @@ from rfem_jax.mechanics.dynamics.base_loads import shaking_load
 from rfem_jax.mechanics.dynamics.loads import velocities
 from rfem_jax.mechanics.dynamics.point_paths import PointMotion
 from rfem_jax.mechanics.dynamics.section_loads import (
+    COUPLED_ROWS,
     Moving,
     SectionLoads,
     loads_of_section,
@@ -73,12 +74,13 @@ class PerfectPath(NamedTuple):
 class SectionHistory(eqx.Module):
     """Sections of a link at the saved times: place (sections,) [m] along the link; resultants (times, 6, sections):
     axial and shear forces N, Q_y, Q_z [N], torque T and bending moments M_y, M_z [N m], which the part with the larger
-    x exerts; edge: stresses at points of the section's edge per unit of N, M_y, M_z and T, None if not known; modulus:
+    x exerts; edge: stresses at points of the section's edge per unit of N, M_y, M_z and T, of a
+    coupled section direct and shear stresses per unit of all six, None if not known; modulus:
     Young's modulus [Pa]."""
 
     place: Float[Array, "... sections"]
     resultants: Float[Array, "*times 6 sections"]
-    edge: Float[Array, "4 points"] | Float[Array, "4 points sections"] | None
+    edge: Float[Array, "loads points"] | Float[Array, "loads points sections"] | None
     modulus: Float[Array, ""] | None = None
 
     @property
@@ -95,6 +97,11 @@ class SectionHistory(eqx.Module):
         """Stress [Pa] along the link in the middle of a side of the section, "y", "-y", "z" or "-z" in the link's axes:
         what a strain gauge there feels (theory (17.15))."""
         edge, resultants = self._known_edge, jnp.asarray(self.resultants)
+        if edge.shape[0] == COUPLED_ROWS:
+            raise InputError(
+                "Argument `side` must be of a section with sides whose middles are known, but that of this link is not "
+                "symmetric or is given by a matrix; take its largest stress, `stress`."
+            )
         edge = edge if edge.ndim == 3 else edge[:, :, None]
         outermost = {"y": jnp.min, "-y": jnp.max, "z": jnp.max, "-z": jnp.min}[side]
         by_moment, moment = (edge[2], 5) if "y" in side else (edge[1], 4)
@@ -108,7 +115,7 @@ class SectionHistory(eqx.Module):
         return self.direct_stress(side) / self.modulus
 
     @property
-    def _known_edge(self) -> Float[Array, "4 points"] | Float[Array, "4 points sections"]:
+    def _known_edge(self) -> Float[Array, "loads points"] | Float[Array, "loads points sections"]:
         if self.edge is None:
             raise InputError(
                 "Argument `edge` of a section must be given for stresses, but is missing; write `edge_y`, `edge_z`, "

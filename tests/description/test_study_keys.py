@@ -95,6 +95,20 @@ objective = { cost = 1, end_energy = 1 }
 "D.delta_x" = { at = "0.2 deg" }
 """
 RECTANGLE = '[mechanism.sections.flat]\nshape = "rectangle"\nwidth = 1e-2\nheight = 1e-2\n'
+WALLS = {"hollow_rectangle": "wall", "i_section": "web flange", "channel": "web flange", "tee": "web flange"}
+WALLED = "".join(
+    f'[mechanism.sections.{shape}]\nshape = "{shape}"\nwidth = 2e-2\nheight = 3e-2\n'
+    + "".join(f"{name} = 2e-3\n" for name in names.split())
+    for shape, names in {**WALLS, "angle": "wall"}.items()
+)
+COMPOSITE = f"""[mechanism.sections.laminate]
+shape = "composite"
+stiffness = {[[1e6 * (i == j) for j in range(6)] for i in range(6)]}
+line_density = 1.0
+rotary_inertia_x = 2e-4
+rotary_inertia_y = 1e-4
+rotary_inertia_z = 1e-4
+"""
 
 
 ZONE = '"A.position" = { diameter = "0.1 mm" }\n'
@@ -147,7 +161,7 @@ def asked(tmp_path, monkeypatch):
 
     for module in (study, study_reader, force_reader, tables, tolerances, costs):
         monkeypatch.setattr(module, "checked_table", recorded(module.checked_table))
-    full = FULL.replace("[mechanism.sections.round]", f"{RECTANGLE}[mechanism.sections.round]")
+    full = FULL.replace("[mechanism.sections.round]", f"{RECTANGLE}{WALLED}{COMPOSITE}[mechanism.sections.round]")
     full = full.replace('name = "A"\n', f'name = "A"\n{COMPLIANCE}{BEARING}', 1)
     full = full.replace('name = "C"\n', f'name = "C"\n{CLEARANCE}', 1)
     full = full.replace('name = "B"\n', f'name = "B"\n{IN_JOINTS}', 1)

@@ -40,15 +40,8 @@ from rfem_jax.description.mechanism.axes import AxisPoint, curve_of, require_axi
 from rfem_jax.description.mechanism.curves import Curve
 from rfem_jax.description.mechanism.materials import Material
 from rfem_jax.description.mechanism.rigid_bodies import RigidBody
-from rfem_jax.description.mechanism.sections import (
-    Circle,
-    GivenSection,
-    Rectangle,
-    Section,
-    SectionProperties,
-    Tube,
-    require_triangle,
-)
+from rfem_jax.description.mechanism.section_bases import OwnStiffness, SectionProperties, require_triangle
+from rfem_jax.description.mechanism.sections import SECTION_KINDS, Section
 from rfem_jax.description.mechanism.stations import (
     Span,
     Station,
@@ -113,9 +106,9 @@ class Link(NumberTree, ChecksItself):
     Args:
         name: a word, other than "base".
         length: L [m], > 0; of a link with an axis that along it, and left out.
-        section: Rectangle, Circle, Tube or GivenSection (a rigid link needs it for its mass, unless it has a body), of
-            a link with stations that at its start.
-        material: a Material; None with a GivenSection.
+        section: a Rectangle, a GivenSection or of another shape (a rigid link needs it for its mass, unless it has a
+            body), of a link with stations that at its start.
+        material: a Material; None with a section that states its own stiffnesses.
         rigid: True makes the link one rigid body.
         rfes: number n of rigid finite elements of a flexible link; 1 is the same as rigid.
         point_masses: PointMass objects on the link.
@@ -170,8 +163,7 @@ class Link(NumberTree, ChecksItself):
             checks.convert("length", _length, of)
         if self.body is None:
             give = "give a rigid link one too, for its mass, or a `body`."
-            kinds = Rectangle, Circle, Tube, GivenSection
-            checks.convert("section", require_instance, f"`section` {of}", kinds, give)
+            checks.convert("section", require_instance, f"`section` {of}", SECTION_KINDS, give)
             checks.relation(("section", "material"), self._check_material, of)
         else:
             write = "write for example RigidBody(0.5, (0.05, 0.0, 0.0), (1e-4, 3e-4, 3e-4))."
@@ -197,7 +189,7 @@ class Link(NumberTree, ChecksItself):
         self._check_material_of(self.section, of)
 
     def _check_material_of(self, section: Section | None, of: str) -> None:
-        if isinstance(section, GivenSection):
+        if isinstance(section, OwnStiffness):
             if self.material is not None:
                 raise InputError(
                     f"Argument `material` {of} must be left out where the section gives its own "

@@ -25,7 +25,7 @@ from rfem_jax.description.basics.numbers import (
     rotation_of_angles,
     value_of,
 )
-from rfem_jax.description.mechanism.sections import require_triangle
+from rfem_jax.description.mechanism.section_bases import require_triangle
 
 _SYMMETRY = 1e-9  # relative to the largest entry
 Tensor = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]

@@ -11,13 +11,12 @@ a section: theory (8.11); torsion of a rectangle: W. C. Young, R. G. Budynas, Ro
 7th ed. (2002), table 10.1, and the series of S. Timoshenko, J. N. Goodier, Theory of Elasticity (1970), section 109.
 """
 
-import abc
 import math
 from collections.abc import Collection
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import ClassVar, get_args
 
-from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError, require_name
+from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError
 from rfem_jax.description.basics.numbers import (
     NOT_NEGATIVE,
     POSITIVE,
@@ -28,116 +27,35 @@ from rfem_jax.description.basics.numbers import (
     is_known,
     larger,
     positive_number,
-    read_number,
     smaller,
     traced,
 )
 from rfem_jax.description.basics.units import DERIVED
+from rfem_jax.description.mechanism.composite_sections import CompositeSection
 from rfem_jax.description.mechanism.materials import Material
-
-ROUND_POINTS = 32  # at the edge of a round section: the largest stress is found to within 0.5 %
-
-# Stresses at a point of the edge per unit of axial force [1/m^2], of bending moment about y and z, and of torque
-# [1/m^3].
-EdgePoint = tuple[Numbers, Numbers, Numbers, Numbers]
-
-
-@dataclass(frozen=True)
-class SectionProperties:
-    """Stiffnesses, inertias and damping per unit length of a link.
-
-    axial EA [N]; shear_y, shear_z G A / kappa [N]; torsion G J_t [N m^2]; bending_y E I_y and
-    bending_z E I_z [N m^2]; line_density rho A [kg/m]; rotary_x, rotary_y, rotary_z
-    rho (I_y + I_z), rho I_y, rho I_z [kg m]; damping eta [s].
-    """
-
-    axial: Numbers
-    shear_y: Numbers
-    shear_z: Numbers
-    torsion: Numbers
-    bending_y: Numbers
-    bending_z: Numbers
-    line_density: Numbers
-    rotary_x: Numbers
-    rotary_y: Numbers
-    rotary_z: Numbers
-    damping: Numbers
-
-
-class _Shape(abc.ABC, NumberTree, ChecksItself):
-    """A homogeneous section of known geometry; subclasses give area, I_y, I_z, J_t and kappa."""
-
-    numbers: ClassVar[Fields]
-    shear_factor: float
-
-    def _check_fields(self, checks: Checks) -> None:
-        _convert(checks, self.numbers)
-
-    @property
-    def kappa(self) -> Numbers:
-        """Shear factor [1]."""
-        return self.shear_factor
-
-    @property
-    @abc.abstractmethod
-    def area(self) -> Numbers:
-        """A [m^2]."""
-
-    @property
-    @abc.abstractmethod
-    def second_moment_y(self) -> Numbers:
-        """I_y [m^4]."""
-
-    @property
-    @abc.abstractmethod
-    def second_moment_z(self) -> Numbers:
-        """I_z [m^4]."""
-
-    @property
-    @abc.abstractmethod
-    def torsion_constant(self) -> Numbers:
-        """J_t [m^4]."""
-
-    @abc.abstractmethod
-    def edge_stresses(self) -> tuple[EdgePoint, ...]:
-        """Stresses at points of the edge per unit of axial force, bending moments about y and z, and torque."""
-
-    def _edge_point(self, y: Numbers, z: Numbers, by_torque: Numbers) -> EdgePoint:
-        return 1.0 / self.area, z / self.second_moment_y, -y / self.second_moment_z, by_torque
-
-    def _round_edge(self, radius: Numbers) -> tuple[EdgePoint, ...]:
-        angles = [2.0 * math.pi * n / ROUND_POINTS for n in range(ROUND_POINTS)]
-        by_torque = radius / self.torsion_constant
-        return tuple(self._edge_point(radius * math.sin(a), radius * math.cos(a), by_torque) for a in angles)
-
-    def properties(self, material: Material | None) -> SectionProperties:
-        """Return the properties per unit length of this section made of `material`."""
-        if not isinstance(material, Material):
-            raise InputError(
-                f"Argument `material` must be a Material for a {type(self).__name__} section, "
-                f"but was {material!r}; give the link a material, or use a section of given "
-                "stiffnesses."
-            )
-        stiffness, rigidity = material.youngs_modulus, material.modulus_of_rigidity
-        density = material.density
-        shear = rigidity * self.area / self.kappa
-        return SectionProperties(
-            axial=stiffness * self.area,
-            shear_y=shear,
-            shear_z=shear,
-            torsion=rigidity * self.torsion_constant,
-            bending_y=stiffness * self.second_moment_y,
-            bending_z=stiffness * self.second_moment_z,
-            line_density=density * self.area,
-            rotary_x=density * (self.second_moment_y + self.second_moment_z),
-            rotary_y=density * self.second_moment_y,
-            rotary_z=density * self.second_moment_z,
-            damping=material.damping,
-        )
+from rfem_jax.description.mechanism.section_bases import (
+    EDGE_FIELDS,
+    EdgePoint,
+    OwnStiffness,
+    SectionProperties,
+    Shape,
+    convert_numbers,
+    refuse_material,
+    require_edge,
+    require_triangle,
+)
+from rfem_jax.description.mechanism.walled_sections import (
+    AngleSection,
+    ChannelSection,
+    CoupledShape,
+    HollowRectangle,
+    ISection,
+    TeeSection,
+)
 
 
 @dataclass(frozen=True)
-class Rectangle(_Shape):
+class Rectangle(Shape):
     """A solid rectangle.
 
     Args:
@@ -201,7 +119,7 @@ class Rectangle(_Shape):
 
 
 @dataclass(frozen=True)
-class Circle(_Shape):
+class Circle(Shape):
     """A solid circle.
 
     Args:
@@ -238,7 +156,7 @@ class Circle(_Shape):
 
 
 @dataclass(frozen=True)
-class Tube(_Shape):
+class Tube(Shape):
     """A circular tube.
 
     Args:
@@ -262,10 +180,10 @@ class Tube(_Shape):
     }
 
     def _check_fields(self, checks: Checks) -> None:
-        _convert(checks, ("outer_diameter", "wall"))
+        convert_numbers(checks, ("outer_diameter", "wall"))
         checks.relation(("outer_diameter", "wall"), self._check_wall)
         if self.shear_factor is not None:
-            _convert(checks, ("shear_factor",))
+            convert_numbers(checks, ("shear_factor",))
         elif checks.passed("outer_diameter", "wall") and not traced((self.outer_diameter, self.wall)):
             object.__setattr__(self, "shear_factor", self.derived_factor)
 
@@ -285,6 +203,10 @@ class Tube(_Shape):
     @property
     def kappa(self) -> Numbers:
         return self.derived_factor if self.shear_factor is None else self.shear_factor
+
+    @property
+    def gaps(self) -> tuple[Numbers, ...]:
+        return (self.inner_diameter,)
 
     @property
     def inner_diameter(self) -> Numbers:
@@ -312,7 +234,7 @@ class Tube(_Shape):
 
 
 @dataclass(frozen=True)
-class GivenSection(NumberTree, ChecksItself):
+class GivenSection(OwnStiffness, NumberTree, ChecksItself):
     """A section given by its own stiffnesses and inertias per unit length; takes no material.
 
     Args:
@@ -360,22 +282,14 @@ class GivenSection(NumberTree, ChecksItself):
     }
 
     def _check_fields(self, checks: Checks) -> None:
-        _convert(checks, self.numbers)
+        convert_numbers(checks, self.numbers)
         inertias = ("rotary_inertia_x", "rotary_inertia_y", "rotary_inertia_z")
         where = "`rotary_inertia_x`, `_y` and `_z` of GivenSection"
         checks.relation(inertias, require_triangle, tuple(getattr(self, one) for one in inertias), where)
-        for name, dimension in _EDGE.items():
+        for name, dimension in EDGE_FIELDS.items():
             if getattr(self, name) is not None:
                 checks.convert(name, positive_number, dimension, f"`{name}` of GivenSection")
-        checks.relation(tuple(_EDGE), self._check_edge)
-
-    def _check_edge(self) -> None:
-        missing = [name for name in _EDGE if getattr(self, name) is None]
-        if missing and len(missing) < len(_EDGE):
-            raise InputError(
-                f"Argument `{missing[0]}` of GivenSection must be given where the edge of the section is, but is "
-                f"missing; give {', '.join(_EDGE)}, or none of these."
-            )
+        checks.relation(tuple(EDGE_FIELDS), require_edge, self)
 
     def edge_stresses(self) -> tuple[EdgePoint, ...]:
         """At the corners of the rectangle around the section, together with the largest shear stress of torsion; none
@@ -390,11 +304,7 @@ class GivenSection(NumberTree, ChecksItself):
 
     def properties(self, material: Material | None = None) -> SectionProperties:
         """Return the given values; `material` must be None."""
-        if material is not None:
-            raise InputError(
-                "Argument `material` must be left out for a section of given stiffnesses, "
-                f"but was {material!r}; remove it (the section holds the density and the damping)."
-            )
+        refuse_material(material)
         return SectionProperties(*(getattr(self, name) for name in _GIVEN))
 
 
@@ -403,9 +313,21 @@ _GIVEN = (
     "axial_stiffness", "shear_stiffness_y", "shear_stiffness_z", "torsion_stiffness", "bending_stiffness_y",
     "bending_stiffness_z", "line_density", "rotary_inertia_x", "rotary_inertia_y", "rotary_inertia_z", "damping",
 )  # fmt: skip
-_EDGE = {"edge_y": "length", "edge_z": "length", "edge_modulus": "pressure", "torsion_modulus": "section_modulus"}
 
-Section = Rectangle | Circle | Tube | GivenSection
+Section = (
+    Rectangle
+    | Circle
+    | Tube
+    | HollowRectangle
+    | ISection
+    | ChannelSection
+    | AngleSection
+    | TeeSection
+    | GivenSection
+    | CompositeSection
+)
+SECTION_KINDS: tuple[type, ...] = get_args(Section)
+CoupledSection = CoupledShape | CompositeSection  # those whose properties are a matrix
 
 
 def plane_names(plane: str) -> tuple[str, str]:
@@ -417,24 +339,26 @@ def plane_edges(points: Collection[EdgePoint], plane: str) -> tuple[EdgePoint, .
     """Stresses at the edge per unit of loads in the axes of a link."""
     if plane == "xz":
         return tuple(points)
-    # Moments about y of the section are about z of the link, those about its z about -y.
-    return tuple((axial, -about_z, about_y, torque) for axial, about_y, about_z, torque in points)
+    # Moments about y of the section are about z of the link, those about its z about -y; forces alike.
+    return tuple(_turned(point) for point in points)
 
 
-def require_triangle(inertias: tuple[float, float, float], where: str) -> None:
-    """Raise InputError unless no principal inertia exceeds the sum of the two others, as far as these are known."""
-    if not is_known(inertias):
-        return
-    largest = max(inertias)
-    if largest > (sum(inertias) - largest) * (1.0 + 1e-9):
-        raise InputError(
-            f"Argument {where} must be the inertia of a real body (none larger than the sum of the "
-            f"two others), but was {tuple(inertias)}; correct the largest."
-        )
+def _turned(point: EdgePoint) -> EdgePoint:
+    if len(point) == 4:
+        axial, about_y, about_z, torque = point
+        return axial, -about_z, about_y, torque
+    axial, along_y, along_z, torque, about_y, about_z = point[:6]
+    direct = axial, -along_z, along_y, torque, -about_z, about_y
+    return direct if len(point) == 6 else (*direct, *_turned(point[6:]))
 
 
-def _convert(checks: Checks, names: Collection[str]) -> None:
-    if checks.owner.name is not None:
-        checks.convert("name", require_name, "`name` of a section")
-    for name in names:
-        checks.convert(name, read_number, checks.owner.numbers[name], f"`{name}` of {type(checks.owner).__name__}")
+def coupled_edges(points: Collection[EdgePoint]) -> tuple[EdgePoint, ...]:
+    """Points of any section with twelve numbers each, as those of a coupled one."""
+
+    def of(point: EdgePoint) -> EdgePoint:
+        if len(point) == 12:
+            return point
+        axial, about_y, about_z, torque = point
+        return axial, 0.0, 0.0, 0.0, about_y, about_z, 0.0, 0.0, 0.0, torque, 0.0, 0.0
+
+    return tuple(of(point) for point in points)

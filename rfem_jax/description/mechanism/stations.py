@@ -12,9 +12,8 @@ from typing import Any, ClassVar, NamedTuple
 
 from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError, require_instance
 from rfem_jax.description.basics.numbers import POSITIVE, Fields, Number, NumberTree, is_known, read_number
-from rfem_jax.description.mechanism.sections import Circle, GivenSection, Rectangle, Section, Tube
-
-KINDS = Rectangle, Circle, Tube, GivenSection
+from rfem_jax.description.mechanism.section_bases import OwnStiffness
+from rfem_jax.description.mechanism.sections import SECTION_KINDS, Section, Tube
 
 
 @dataclass(frozen=True)
@@ -41,7 +40,7 @@ class Station(NumberTree, ChecksItself):
         for name in ("section", "after"):
             if getattr(self, name) is not None:
                 give = "give a section, or leave it out."
-                checks.convert(name, require_instance, f"`{name}` of a station", KINDS, give)
+                checks.convert(name, require_instance, f"`{name}` of a station", SECTION_KINDS, give)
         checks.relation(("section", "after"), self._check_any)
 
     def _check_any(self) -> None:
@@ -82,8 +81,15 @@ def section_between(first: Section, last: Section, share: Any) -> Section:
     if isinstance(first, Tube) and isinstance(last, Tube) and _derives(first) and _derives(last):
         first = first.with_fields(shear_factor=None)
         names = [name for name in names if name != "shear_factor"]
-    values = {name: getattr(first, name) + share * (getattr(last, name) - getattr(first, name)) for name in names}
+    values = {name: _between(getattr(first, name), getattr(last, name), share) for name in names}
     return first.with_fields(**values, name=None)
+
+
+def _between(first: Any, last: Any, share: Any) -> Any:
+    """A number, or a table of numbers, between two."""
+    if isinstance(first, tuple):
+        return tuple(_between(one, other, share) for one, other in zip(first, last, strict=True))
+    return first + share * (last - first)
 
 
 def _derives(tube: Tube) -> bool:
@@ -136,7 +142,7 @@ def require_alike(spans: Sequence[Span], of: str) -> None:
                 f"numbers, but goes from {type(one).__name__} to {type(other).__name__}; give the second one as "
                 "`after` of a station, where the link has a step."
             )
-    known = [two.damping for span in spans for two in span[2:] if isinstance(two, GivenSection)]
+    known = [two.damping for span in spans for two in span[2:] if isinstance(two, OwnStiffness)]
     if is_known(known) and len(set(known)) > 1:
         raise InputError(
             f"Argument `stations` {of} must have sections of one `damping`, but they have "

@@ -21,6 +21,7 @@ from rfem_jax.description.basics.errors import InputError, subject, suggestion
 from rfem_jax.description.basics.joint_kinds import KINDS, Freedom
 from rfem_jax.description.basics.numbers import ANY, NOT_NEGATIVE, POSITIVE, Fields, read_number
 from rfem_jax.description.basics.units import DIMENSIONS
+from rfem_jax.description.mechanism.composite_sections import CompositeSection, entry_field
 from rfem_jax.description.mechanism.couplings import Coupling
 from rfem_jax.description.mechanism.forces import Force, JointForce, JointForceTable
 from rfem_jax.description.mechanism.joints import Joint
@@ -129,6 +130,7 @@ _DOES_NOT_BEND = "is of a rigid link, or of one without `thermal_expansion`; mak
 _FOUND = "follows from closing the loops or from assembly; only what a drive holds is given"
 _FOLLOWING = {
     "shear_factor": "is derived from the diameters; give it in the description",
+    **dict.fromkeys(("shear_factor_y", "shear_factor_z"), "is derived from the sizes; give it in the description"),
     "temperature": "has no `thermal_expansion`; give it with the material, the link or the base",
     **dict.fromkeys(GRADIENTS, _DOES_NOT_BEND),
     "angle": _FOUND,
@@ -240,6 +242,16 @@ def _shared(links: Sequence[Link], kind: str) -> Iterator[Parameter]:
         if isinstance(thing, Tube) and thing.shear_factor == thing.derived_factor:
             del fields["shear_factor"]
         yield from _fields(owner, thing, fields, users, before)
+        if isinstance(thing, CompositeSection):
+            yield from _of_matrix(owner, users, before)
+
+
+def _of_matrix(owner: tuple[str, str], users: Sequence[Path], before: str) -> Iterator[Parameter]:
+    """The entries of a stiffness matrix, both of a pair as one."""
+    for i in range(6):
+        for j in range(i, 6):
+            at = [(*path, "stiffness", *place) for path in users for place in dict.fromkeys(((i, j), (j, i)))]
+            yield _parameter(owner, f"{before}stiffness.{i + 1}{j + 1}", entry_field(i, j), at)
 
 
 def _of_body(owner: tuple[str, str], body: RigidBody, path: Path) -> Iterator[Parameter]:

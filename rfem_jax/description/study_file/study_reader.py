@@ -44,13 +44,36 @@ from rfem_jax.description.mechanism.materials import Material
 from rfem_jax.description.mechanism.mechanism import STARTS, Mechanism
 from rfem_jax.description.mechanism.points import Point
 from rfem_jax.description.mechanism.rigid_bodies import RigidBody
-from rfem_jax.description.mechanism.sections import Circle, GivenSection, Rectangle, Section, Tube
+from rfem_jax.description.mechanism.sections import (
+    AngleSection,
+    ChannelSection,
+    Circle,
+    CompositeSection,
+    GivenSection,
+    HollowRectangle,
+    ISection,
+    Rectangle,
+    Section,
+    TeeSection,
+    Tube,
+)
 from rfem_jax.description.mechanism.stations import Station
 from rfem_jax.description.methods import Method, named_method, setting_names
 from rfem_jax.description.study_file.force_reader import read_force, read_joint, read_spring
 from rfem_jax.description.tolerances.error_catalogue import BOWS
 
-SHAPES = {"rectangle": Rectangle, "circle": Circle, "tube": Tube, "given": GivenSection}
+SHAPES = {
+    "rectangle": Rectangle,
+    "circle": Circle,
+    "tube": Tube,
+    "hollow_rectangle": HollowRectangle,
+    "i_section": ISection,
+    "channel": ChannelSection,
+    "angle": AngleSection,
+    "tee": TeeSection,
+    "given": GivenSection,
+    "composite": CompositeSection,
+}
 DRIVES = {
     "moment_ramp": MomentRamp,
     "moment_table": MomentTable,

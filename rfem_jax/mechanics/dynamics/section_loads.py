@@ -28,6 +28,7 @@ from rfem_jax.mechanics.model.form import bodies_of, point_inertia, segments_of
 from rfem_jax.mechanics.model.model import BASE, Model, State, rfe_fractions
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors, point_places
 
+COUPLED_ROWS = 12  # of the edge of a coupled section: stresses and shear stresses by six loads
 RIGID_PARTS = 8  # of a rigid link, at whose ends there are sections, too
 SAME_PLACE = 1e-9  # of the link's length
 NO_ATTACHMENT = 1_000_000  # a number that no attachment has
@@ -142,9 +143,15 @@ def _loads_at(
 
 
 def stress_squares(
-    edge: Float[Array, "4 points"] | Float[Array, "4 points sections"], resultants: Float[Array, "*times 6 sections"]
+    edge: Float[Array, "loads points"] | Float[Array, "loads points sections"],
+    resultants: Float[Array, "*times 6 sections"],
 ) -> Float[Array, "*times points sections"]:
-    """Squares of the von Mises stress [Pa^2] at the edge of the sections of a link (theory (8.11))."""
+    """Squares of the von Mises stress [Pa^2] at the edge of the sections of a link (theory (8.11)), whose points have 4
+    numbers, or the 12 of a coupled section."""
+    if edge.shape[0] == COUPLED_ROWS:
+        edge = edge if edge.ndim == 3 else edge[:, :, None]
+        direct, shear = (jnp.sum(rows * resultants[..., :, None, :], axis=-3) for rows in (edge[:6], edge[6:]))
+        return direct**2 + 3.0 * shear**2
     axial, about_y, about_z, by_torque = (edge[i] if edge.ndim == 3 else edge[i, :, None] for i in range(4))
     force, torque, moment_y, moment_z = (resultants[..., i, None, :] for i in (0, 3, 4, 5))
 

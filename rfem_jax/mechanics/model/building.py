@@ -22,7 +22,7 @@ from rfem_jax.description.mechanism.links import GRADIENTS, Link
 from rfem_jax.description.mechanism.mechanism import EQUILIBRIUM, MINIMUM_NORM, Mechanism
 from rfem_jax.description.mechanism.point_forces import AtPoint, BetweenPoints
 from rfem_jax.description.mechanism.points import NamedPoint
-from rfem_jax.description.mechanism.sections import plane_edges, plane_names
+from rfem_jax.description.mechanism.sections import CoupledSection, plane_edges, plane_names
 from rfem_jax.description.parameters.parts import Parts, parts_of
 from rfem_jax.mechanics.laws.bearings import bearing_capacities
 from rfem_jax.mechanics.laws.clearances import clearance_name, pin_in_bush
@@ -33,15 +33,13 @@ from rfem_jax.mechanics.laws.joint_laws import JointLaw, joint_law
 from rfem_jax.mechanics.laws.joint_springs import CompliantSpring, compliant_spring
 from rfem_jax.mechanics.laws.line_loads import LineLoad, line_load
 from rfem_jax.mechanics.laws.point_laws import load_at, spring_between
-from rfem_jax.mechanics.model.form import Attached, form_of, require_turned
+from rfem_jax.mechanics.model.form import QUARTER, Attached, form_of, require_turned
 from rfem_jax.mechanics.model.model import BASE, CarriedPoint, Model, Sections, Topology, rfe_fractions
 from rfem_jax.mechanics.model.named_points import with_named_points
 from rfem_jax.mechanics.model.orientations import quaternion_of_angles
 from rfem_jax.mechanics.model.profiles import profile_of, taper_of
 from rfem_jax.mechanics.model.sources import ForceNodes, source_of
 from rfem_jax.mechanics.model.warmth import warmed
-
-QUARTER = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # about x: y of a joint is z of its link
 
 
 def build_model(mechanism: Mechanism, elements: dict[str, int], exact: bool = False) -> Model:
@@ -79,7 +77,9 @@ def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], 
     masses = [(i, mass) for i, link in enumerate(links) for mass in _masses_of(link)]
     acted = _force_nodes(mechanism, discretised)
     ideal = [one for one in mechanism.couplings if one.ideal]
-    shaped = any(link.axis or link.form_errors for link in links)
+    shaped = any(link.axis or link.form_errors for link in links) or any(
+        isinstance(section, CoupledSection) for link in links for section in link.sections
+    )
     followed = (
         (one.name, (discretised.attach(one.link, one.place, False).node,))
         for one in parts.points

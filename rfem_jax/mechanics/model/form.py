@@ -23,15 +23,18 @@ from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.basics.numbers import array_of, is_known, larger, smaller, traced
 from rfem_jax.description.mechanism.curves import Curve, Values
 from rfem_jax.description.mechanism.links import Link
-from rfem_jax.description.mechanism.sections import SectionProperties, plane_names
+from rfem_jax.description.mechanism.section_bases import CoupledProperties, SectionProperties, inverse_of, stacked
+from rfem_jax.description.mechanism.sections import plane_names
 from rfem_jax.description.mechanism.stations import Span
 from rfem_jax.mechanics.algebra import vectors
-from rfem_jax.mechanics.algebra.vectors import cross, cross_matrix, dot, product, scaled
+from rfem_jax.mechanics.algebra.vectors import apply, cross, cross_matrix, dot, product, scaled
 from rfem_jax.mechanics.model.profiles import Profile
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(12)  # for an arc of 270 degrees to rounding
 LEAST_ACROSS = 0.01  # 1 - of a tangent's part along the hinges, below which nothing says how sections are turned
 LOOKED_AT = 200  # places of a curve
+# About x: y of a joint, or of a section, is z of its link in the plane xy.
+QUARTER = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 DRAWN = 4  # points of a link to each of its sdes
 
 
@@ -46,12 +49,14 @@ class Places(eqx.Module):
 
 class Segments(eqx.Module):
     """Points of Gauss of n parts of links: places; weight [m]; compliance per length, in the section's axes; density
-    [kg/m] and rotary [kg m], the section's inertia per length about its own axes."""
+    [kg/m], offset [m], of the mass centre in the section's axes, and rotary [kg m], the inertia per length about axes
+    through that."""
 
     places: Places
     weight: Float[Values, "q n"]
     compliance: Float[Values, "q 6 6 n"]
     density: Float[Values, "q n"]
+    offset: Float[Values, "q 3 n"]
     rotary: Float[Values, "q 3 3 n"]
 
 
@@ -181,7 +186,7 @@ def bodies_of(
 
     def add(total, part):
         place = shaped(part.places, *errors, hinge)
-        apart = place.position - about
+        apart = place.position + apply(place.axes, part.offset) - about
         stretch = jnp.sqrt(dot(place.tangent, place.tangent))
         mass = part.weight * part.density * stretch
         own = vectors.product_transposed(product(place.axes, part.rotary), place.axes)
@@ -299,10 +304,10 @@ def segments_of(profile: Profile | None, curve: Curve, start: Any, stop: Any) ->
             parts.append((s, weight, _per_length(xp, found, profile.plane, s.shape)))
     else:
         nothing = np.zeros((n, start.shape[0]))
-        parts = [(nothing, nothing, (np.zeros((n, 6, 6, nothing.shape[1])), nothing,
+        parts = [(nothing, nothing, (np.zeros((n, 6, 6, nothing.shape[1])), nothing, np.zeros((n, 3, nothing.shape[1])),
                                      np.zeros((n, 3, 3, nothing.shape[1]))))]  # fmt: skip
     s, weight = (xp.concatenate([part[i] for part in parts]) for i in (0, 1))
-    of_section = (xp.concatenate([part[2][i] for part in parts]) for i in range(3))
+    of_section = (xp.concatenate([part[2][i] for part in parts]) for i in range(4))
     at = curve.at(s.reshape(-1))
     position, tangent = (xp.moveaxis(one.reshape((3, *s.shape)), 0, 1) for one in (at.position, at.tangent))
     return Segments(Places(position, tangent, at.roll.reshape(s.shape), s / curve.length), weight, *of_section)
@@ -319,16 +324,36 @@ def _pieces(xp: Any, profile: Profile, curve: Curve, start: Any, stop: Any) -> I
             yield s, 0.5 * (high - low)[None] * WEIGHTS[:, None], span
 
 
-def _per_length(xp: Any, found: SectionProperties, plane: str, shape: tuple[int, ...]) -> tuple[Any, Any, Any]:
-    """Compliance (q, 6, 6, n), density (q, n) and rotary (q, 3, 3, n) of sections, in their axes along a link's."""
+def _per_length(xp: Any, found: SectionProperties, plane: str, shape: tuple[int, ...]) -> tuple[Any, Any, Any, Any]:
+    """Compliance (q, 6, 6, n), density (q, n), offset (q, 3, n) and rotary (q, 3, 3, n) of sections, in their axes
+    along a link's."""
     y, z = plane_names(plane)
     names = "axial", f"shear_{y}", f"shear_{z}", "torsion", f"bending_{y}", f"bending_{z}"
+    density = xp.broadcast_to(found.line_density, shape[0] * shape[1]).reshape(shape)
+    if isinstance(found, CoupledProperties):
+        compliance, offset, rotary = (_everywhere(xp, one, shape) for one in _of_coupled(found, plane))
+        return compliance, density, offset[:, :, 0], rotary
     compliance = [1.0 / xp.broadcast_to(getattr(found, name), shape[0] * shape[1]).reshape(shape) for name in names]
     rotary = [
         xp.broadcast_to(getattr(found, f"rotary_{axis}"), shape[0] * shape[1]).reshape(shape) for axis in ("x", y, z)
     ]
-    density = xp.broadcast_to(found.line_density, shape[0] * shape[1]).reshape(shape)
-    return _diagonal(xp, compliance), density, _diagonal(xp, rotary)
+    return _diagonal(xp, compliance), density, np.zeros((shape[0], 3, shape[1])), _diagonal(xp, rotary)
+
+
+def _of_coupled(found: CoupledProperties, plane: str) -> tuple[Any, Any, Any]:
+    """Compliance (6, 6), offset (3, 1) and rotary (3, 3), or for each of several places, in axes along a link's."""
+    turn = QUARTER if plane == "xy" else np.eye(3)
+    both = np.kron(np.eye(2), turn)
+    offset = stacked([[0.0], [found.offset_y], [found.offset_z]])
+    y, z, yz = found.rotary_y, found.rotary_z, found.product
+    rotary = stacked([[found.rotary_x, 0.0, 0.0], [0.0, y, yz], [0.0, yz, z]])
+    return both @ inverse_of(found.matrix)[0] @ both.T, turn @ offset, turn @ rotary @ turn.T
+
+
+def _everywhere(xp: Any, matrix: Any, shape: tuple[int, ...]) -> Any:
+    """Matrices (q, r, c, n) of one (r, c), or of one for each of q n places."""
+    rows = matrix.shape[-2:]
+    return xp.moveaxis(xp.broadcast_to(matrix, (shape[0] * shape[1], *rows)).reshape((*shape, *rows)), 1, -1)
 
 
 def _diagonal(xp: Any, entries: list[Any]) -> Any:

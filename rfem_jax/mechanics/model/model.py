@@ -394,7 +394,7 @@ class Sections(eqx.Module):
     line_density: Float[Array, " links"]
     rotary: Float[Array, "3 links"]
     damping: Float[Array, " links"]
-    edges: tuple[Float[Array, "4 points"] | None, ...] = ()
+    edges: tuple[Float[Array, "loads points"] | None, ...] = ()
 
     @property
     def bending(self) -> Float[Array, " links"]:

@@ -150,7 +150,21 @@ def _link_is_symmetric(model: Model, state: _SelfStress, normal: np.ndarray, lin
     turned = model.form is not None and np.any(np.asarray(model.form.curves[link].rolls))
     places = axis_places(model, link, np.linspace(0.0, 1.0, PLACES if link in model.topology.curved else 2))
     lies = inside(*(origin + rotation @ place for place in places))
-    return bool(lies and principal >= 1.0 - IN_PLANE and not turned)
+    return bool(lies and principal >= 1.0 - IN_PLANE and not turned and _section_is_symmetric(model, link))
+
+
+def _section_is_symmetric(model: Model, link: int) -> bool:
+    """Whether the mass centre of a link's sections is on its axis, and nothing couples directions; of a rigid link its
+    inertia alone counts."""
+    if model.form is None:
+        return True
+    topology, (first, last) = model.topology, model.topology.ranges[link]
+    nodes = [link, *range(topology.n_links + first, topology.n_links + last)]
+    bodies, compliance = model.form.bodies, np.asarray(model.form.segments.compliance)[..., first:last]
+    couplings = np.asarray(bodies.rotary)[..., nodes], compliance
+    return not np.any(np.asarray(bodies.offset)[..., nodes]) and not any(
+        np.any(one * (1.0 - np.eye(one.shape[1]))[None, :, :, None]) for one in couplings
+    )
 
 
 def _mass_is_symmetric(model: Model, state: _SelfStress, normal: np.ndarray, mass: int, inside) -> bool:

@@ -20,7 +20,8 @@ from jaxtyping import Float
 from rfem_jax.description.basics.numbers import traced
 from rfem_jax.description.mechanism.links import Link
 from rfem_jax.description.mechanism.materials import Material
-from rfem_jax.description.mechanism.sections import Section, SectionProperties, plane_edges, plane_names
+from rfem_jax.description.mechanism.section_bases import SectionProperties
+from rfem_jax.description.mechanism.sections import CoupledSection, Section, coupled_edges, plane_edges, plane_names
 from rfem_jax.description.mechanism.stations import Span, section_between
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(6)
@@ -78,12 +79,14 @@ class Profile(eqx.Module):
         centre = xp.where(there, total[1] / mass, 0.0)
         return Pieces(total[0], centre, total[2] - total[0] * centre**2, total[3:6], total[6:])
 
-    def edges(self, x: Float[Array, " sections"]) -> Float[Array, "4 points sections"] | None:
+    def edges(self, x: Float[Array, " sections"]) -> Float[Array, "loads points sections"] | None:
         """Stresses at the edge of the sections at places [m], as `Sections.edges`; None where an edge is not known."""
         found: Any = None
+        coupled = any(isinstance(span.first, CoupledSection) for span in self.spans)
         for begin, end, first, last in self.spans:
             section = section_between(first, last, jnp.clip((x - begin) / (end - begin), 0.0, 1.0))
             points = plane_edges(section.edge_stresses(), self.plane)
+            points = coupled_edges(points) if coupled else points
             if not points:
                 return None
             here = jnp.stack(

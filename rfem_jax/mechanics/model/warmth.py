@@ -19,7 +19,6 @@ from rfem_jax.description.mechanism.stations import Station
 from rfem_jax.description.parameters.parts import Parts, scaled
 
 # Of a given section, per length.
-INERTIAS = ("line_density", "rotary_inertia_x", "rotary_inertia_y", "rotary_inertia_z")
 Growths = dict[str, Number]
 
 
@@ -84,7 +83,7 @@ def _station(station: Station, growth: Number, given: bool) -> Station:
 
 def _thinned(section: Any, growth: Number) -> Any:
     """A given section of a link that has grown and kept its mass."""
-    return section.with_fields(**{name: getattr(section, name) / growth for name in INERTIAS})
+    return section.with_fields(**{name: getattr(section, name) / growth for name in section.inertias})
 
 
 def _joint(joint: Joint, found: Growths) -> Joint:

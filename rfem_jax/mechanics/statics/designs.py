@@ -29,7 +29,6 @@ from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.basics.numbers import ANY, POSITIVE, SIGN_WORDS
 from rfem_jax.description.drives.numbers_by_name import read_drive_number
 from rfem_jax.description.mechanism.distributed_forces import DistributedForce
-from rfem_jax.description.mechanism.sections import Tube
 from rfem_jax.description.parameters.parameters import Parameter, require_each_once
 from rfem_jax.description.parameters.parts import Parts
 from rfem_jax.description.study_file.study import Study
@@ -346,7 +345,7 @@ def _start_values(base: Model, made: Model) -> Float[Array, " numbers"]:
 
 
 def _possible(parts: Parts, numbers: list[tuple[Parameter, Array]]) -> Bool[Array, ""]:
-    """Whether numbers are finite and of the signs that they must have, and the walls of all tubes thin enough."""
+    """Whether numbers are finite and of the signs that they must have, and all walls thin enough."""
     good = jnp.ones((), bool)
     for one, value in numbers:
         right = value > 0.0 if one.sign == POSITIVE else value >= 0.0
@@ -359,8 +358,8 @@ def _possible(parts: Parts, numbers: list[tuple[Parameter, Array]]) -> Bool[Arra
         good = good & (growth > 0.0)
     for link in parts.links:
         for section in link.sections:
-            if isinstance(section, Tube):
-                good = good & (jnp.asarray(section.inner_diameter) > 0.0)
+            for gap in section.gaps:
+                good = good & (jnp.asarray(gap) > 0.0)
         for span in link.spans if link.stations else ():
             good = good & (jnp.asarray(span.begin) < span.end)
     return good
