@@ -80,6 +80,8 @@ def link_rows(mechanism: Mechanism) -> list[list[str]]:
         shape = "rigid body" if link.section is None else section_text(link.section)
         if link.stations:
             shape = " to ".join(dict.fromkeys(section_text(section) for section in link.sections))
+        if link.slender:
+            shape += "; neither stretches nor shears"
         rows.append([link.name, f"{link.length:.6g}", f"{link.mass:.6g}", rfes, points, shape])
     return rows
 

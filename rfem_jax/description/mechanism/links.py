@@ -59,6 +59,8 @@ from rfem_jax.description.mechanism.stations import (
 MOST_RFES = 1000
 _USUAL_RFES = 5
 GRADIENTS = ("temperature_gradient_y", "temperature_gradient_z")
+FLEXIBILITIES = ("axial", "shear", "bending", "torsion")
+_SLENDER = frozenset(("bending", "torsion"))
 
 
 @dataclass(frozen=True)
@@ -121,6 +123,8 @@ class Link(NumberTree, ChecksItself):
         thermal_expansion: alpha [1/K]; None: that of its material.
         temperature_gradient_y, temperature_gradient_z: how fast the temperature rises across a flexible link, along y
             and z of its frame [K/m], by which it bends without load.
+        stations: Station objects, sections of their own at places along the link.
+        flexibility: how a flexible link gives way, ["bending", "torsion"] or all four with "axial" and "shear" (None).
     Raises:
         InputError: a value is out of range or of the wrong kind.
     """
@@ -138,6 +142,7 @@ class Link(NumberTree, ChecksItself):
     temperature_gradient_y: Quantity | None = None
     temperature_gradient_z: Quantity | None = None
     stations: tuple[Station, ...] = ()
+    flexibility: tuple[str, ...] | None = None
 
     numbers: ClassVar[Fields] = {
         "temperature": ("temperature", ANY),
@@ -168,6 +173,9 @@ class Link(NumberTree, ChecksItself):
         checks.convert("rfes", _number_of_rfes, of)
         for name in GRADIENTS:
             checks.relation(("rigid", "rfes", name), self._check_bends, name, of)
+        if self.flexibility is not None:
+            checks.convert("flexibility", _flexibility, of)
+            checks.relation(("rigid", "rfes", "body", "flexibility"), self._check_flexible, of)
         checks.convert("point_masses", _masses, of)
         checks.convert("stations", require_stations, of)
         checks.relation(("length", "section", "body", "stations"), self._check_stations, of)
@@ -202,6 +210,13 @@ class Link(NumberTree, ChecksItself):
             raise InputError(
                 f"Argument `{name}` {of} must be left out where the link is rigid, as it does not bend, but was "
                 f"{short(getattr(self, name))}; make the link flexible, or leave it out."
+            )
+
+    def _check_flexible(self, of: str) -> None:
+        if self.flexibility is not None and not self.flexible:
+            raise InputError(
+                f"Argument `flexibility` {of} must be left out where the link is rigid, but was "
+                f"{list(self.flexibility)!r}; make the link flexible, or leave it out."
             )
 
     def _check_stations(self, of: str) -> None:
@@ -258,6 +273,11 @@ class Link(NumberTree, ChecksItself):
         return self.elements > 1
 
     @property
+    def slender(self) -> bool:
+        """True if the segments of a flexible link neither stretch nor shear."""
+        return self.flexibility is not None and set(self.flexibility) == _SLENDER
+
+    @property
     def properties(self) -> SectionProperties:
         """Stiffnesses, inertias and damping per unit length, zeros of a body."""
         if self.section is None:
@@ -308,6 +328,17 @@ def _number_of_rfes(rfes: Any, of: str) -> int:
             "error falls with its square."
         )
     return int(rfes)
+
+
+def _flexibility(given: Any, of: str) -> tuple[str, ...]:
+    """Words of `FLEXIBILITIES`, all of them or those of a link whose segments neither stretch nor shear."""
+    words = tuple(map(str, given)) if isinstance(given, (list, tuple)) else ()
+    if len(set(words)) != len(words) or set(words) not in (set(FLEXIBILITIES), _SLENDER):
+        raise InputError(
+            f'Argument `flexibility` {of} must be ["bending", "torsion"] or all of {list(FLEXIBILITIES)}, but was '
+            f"{short(given)}; leave it out for all."
+        )
+    return words
 
 
 def _masses(given: Any, of: str) -> tuple[PointMass, ...]:

@@ -59,8 +59,8 @@ class Accelerations(NamedTuple):
     coordinates: second derivatives of the coordinates; multipliers [N] of the closure equations; stabilising [N]:
     their part due to Baumgarte's terms; angular, linear (3, nodes): absolute accelerations of all nodes'
     reference points in link axes; spatial (6, L): accelerations of the links at their islands' points;
-    motion, closure, interface_tree: what they were computed from; dissipated [W]: power that the dampers
-    dissipate; laws: forces of springs and laws along joint coordinates, None without any; frame_loads: what force
+    motion, closure, interface_tree (None with slender links): what they were computed from; dissipated [W]: power that
+    the dampers dissipate; laws: forces of springs and laws along joint coordinates, None without any; frame_loads: what force
     elements exert, likewise.
     """
 
@@ -72,7 +72,7 @@ class Accelerations(NamedTuple):
     spatial: Float[Array, "6 links"]
     motion: Motion
     closure: Closure | None
-    interface_tree: InterfaceTree
+    interface_tree: InterfaceTree | None
     dissipated: Float[Array, ""]
     laws: LawForces | None
     frame_loads: FrameLoads | None = None

@@ -106,6 +106,7 @@ def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], 
         massless=tuple(i for i, link in enumerate(links) if link.mass == 0.0),
         ideal=tuple(one.name for one in ideal),
         stations=_stations(links, discretised) if any(link.stations for link in links) else (),
+        slender=tuple(i for i, link in enumerate(links) if discretised.elements[i] > 1 and link.slender),
         coupled=tuple(sorted({_coordinate(joints, *motion) for one in ideal for motion in one.coordinates})),
     )
     return PartStructure(topology, (*acted, *followed), any(any(mass.products) for _, mass in masses))

@@ -26,7 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.core import Tracer
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from rfem_jax.compilation.naming import Names
 from rfem_jax.description.basics.errors import InputError
@@ -107,6 +107,7 @@ class Topology(NamedTuple):
     ideal: names of the ideal couplings, whose equations come after those of the cut joints; coupled: the joint
         coordinates of these.
     stations: of every link the rfes that hold its stations inside; () without any.
+    slender: flexible links whose segments neither stretch nor shear (`slender_links`).
     """
 
     links: tuple[str, ...]
@@ -139,6 +140,7 @@ class Topology(NamedTuple):
     ideal: tuple[str, ...] = ()
     coupled: tuple[int, ...] = ()
     stations: tuple[tuple[int, ...], ...] = ()
+    slender: tuple[int, ...] = ()
 
     def renamed(self, names: Names) -> "Topology":
         """With other names."""
@@ -339,6 +341,11 @@ class Topology(NamedTuple):
     def link_of_rfe(self) -> Int[np.ndarray, " rfes"]:
         """Link of every free rfe."""
         return np.repeat(np.arange(self.n_links), [n - 1 for n in self.elements])
+
+    @property
+    def slender_rfes(self) -> Bool[np.ndarray, " rfes"]:
+        """Whether every free rfe is of a link whose segments neither stretch nor shear."""
+        return np.isin(self.link_of_rfe, self.slender)
 
     @property
     def interfaces(self) -> tuple[int, ...]:

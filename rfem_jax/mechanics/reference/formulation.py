@@ -94,15 +94,37 @@ def transforms(
             hinge = hinge @ _transform(rotation, np.zeros(3))
         frames[l] = hinge @ jnp.linalg.inv(bore[l])
         for k in range(a, b):
-            x, y, z, phi_x, phi_y, phi_z = position.elastic[:, k]
-            outer = _rotation_about(2, phi_z) @ _rotation_about(1, phi_y)
-            if topology.exact:
-                outer = _rotation_about(1, phi_y) @ _rotation_about(2, phi_z)
-            rotation = outer @ _rotation_about(0, phi_x)
+            x, y, z = _slender_place(actual, position, k) if l in topology.slender else position.elastic[:3, k]
+            rotation = _rfe_rotation(topology, position.elastic[3:, k])
             rest = np.array([1.0, 0.0, 0.0]) * actual.rest[k]
             relative = _transform(rotation, rest + jnp.stack([x, y, z]))
             frames[topology.n_links + k] = frames[l] @ relative
     return [frames[node] for node in range(topology.n_links + topology.n_rfes)]
+
+
+def _rfe_rotation(topology: Topology, phi: Array) -> Array:
+    """Rotation of an rfe in its link frame."""
+    outer = _rotation_about(2, phi[2]) @ _rotation_about(1, phi[1])
+    if topology.exact:
+        outer = _rotation_about(1, phi[1]) @ _rotation_about(2, phi[2])
+    return outer @ _rotation_about(0, phi[0])
+
+
+def _slender_place(actual: ModelWithErrors, position: Coordinates, rfe: int) -> Array:
+    """Displacement of an rfe of a slender link, whose faces meet: from face to face, beginning at rfe 0."""
+    topology, x = actual.topology, jnp.array([1.0, 0.0, 0.0])
+
+    def moved(k: int, lever: Array) -> Array:
+        phi = position.elastic[3:, k]
+        return lever * (_rfe_rotation(topology, phi) @ x - x if topology.exact else jnp.cross(phi, x))
+
+    place = jnp.zeros(3)
+    first = topology.ranges[topology.link_of(topology.n_links + rfe)][0]
+    for k in range(first, rfe + 1):
+        place = place - moved(k, actual.lever_right[k])
+        if k < rfe:
+            place = place + moved(k, actual.lever_left[k + 1])
+    return place
 
 
 def constraints(
@@ -415,8 +437,8 @@ def reference_accelerations(
     stabilisation: Stabilisation,
     applied: Float[Array, " coordinates"] | None = None,
 ) -> tuple[Coordinates, Float[Array, " constraints"]]:
-    """Second derivatives of the coordinates, and multipliers [N] without those of springs, from the dense system;
-    `applied`: more forces, flat."""
+    """Second derivatives of the coordinates (zero of displacements in slender links), and multipliers [N] without those
+    of springs, from the dense system; `applied`: more forces, flat."""
     topology = actual.topology
     qd, unravel = ravel_pytree(state.velocity)
     # Changes from the present position are coordinates of which there are as many as rates.
@@ -434,6 +456,8 @@ def reference_accelerations(
     derivatives = jax.jacfwd(matrices)(q)
     bias = jax.jvp(rate, (q,), (qd,))[1]
     mass = jnp.einsum("nabi,nbc,nacj->ij", derivatives, pseudo_inertia, derivatives)
+    # Displacements in slender links are no coordinates: of unit mass and without forces they stay what they are.
+    mass = mass + jnp.diag(ravel_pytree(_without_effect(topology))[0])
     inertial = jnp.einsum("nabi,nbc,nac->i", derivatives, pseudo_inertia, bias)
 
     def potential(frames, q):
@@ -486,6 +510,12 @@ def _solve_augmented(
     system = jnp.block([[mass, -jacobian.T], [jacobian, corner]])
     solution = jnp.linalg.solve(system, jnp.concatenate([force, gamma]))
     return solution[:n], solution[n:]
+
+
+def _without_effect(topology: Topology) -> Coordinates:
+    """1 for coordinates that nothing depends on, 0 for all others."""
+    displacements = np.concatenate([np.tile(topology.slender_rfes, (3, 1)), np.zeros((3, topology.n_rfes))])
+    return Coordinates(jnp.zeros(topology.n_freedoms), jnp.asarray(displacements))
 
 
 def open_multipliers(actual: ModelWithErrors, state: State, scale: Scalar) -> Float[Array, "constraints constraints"]:

@@ -1,0 +1,119 @@
+"""Links whose segments neither stretch nor shear: the rotations of their rfes are all their coordinates.
+
+Place in the pipeline: model with errors -> **slender_links** -> motion, residual, condensation, statics.
+
+Without axial and shear deflections an sde is a ball joint with springs, and the displacements of a link's rfes follow
+from their rotations, along the chain of lever arms (theory (1.20)):
+
+    u = A g,     g_j = R_j e_x - e_x  (linear elements: phi_j x e_x),
+
+with a constant lower triangular matrix A of lever arms.  A state keeps six coordinates of every rfe; those of
+displacement are put in wherever a motion is formed.  Forces in the sdes do no work; generalised forces on the rotations
+are those of all rfes beyond, by the transpose of the same matrix (theory (1.22)).
+"""
+
+from typing import Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from rfem_jax.mechanics.algebra import vectors
+from rfem_jax.mechanics.algebra.vectors import apply, apply_transposed, cross
+from rfem_jax.mechanics.model.model import Coordinates, State
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors
+
+AXIS = vectors.IDENTITY[0][:, None]
+
+
+class Turning(Protocol):
+    """The part of the relative motion of rfes that rotations alone decide, as `motion.RelativeMotion`."""
+
+    @property
+    def rotation(self) -> Float[Array, "3 3 rfes"]: ...
+    @property
+    def rate_matrix(self) -> Float[Array, "3 3 rfes"]: ...
+    @property
+    def angular(self) -> Float[Array, "3 rfes"]: ...
+    @property
+    def rate_bias(self) -> Float[Array, "3 rfes"]: ...
+
+
+def lever_matrix(actual: ModelWithErrors) -> Float[Array, "rfes rfes"]:
+    """A [m]: displacements of rfes (rows) by the rotations of rfes (columns); zero in other links."""
+    topology = actual.topology
+    owner, number = topology.link_of_rfe, np.arange(topology.n_rfes)
+    among = (owner[:, None] == owner) & topology.slender_rfes
+    to_next = jnp.concatenate([actual.lever_left[1:], jnp.zeros(1)])
+    beyond = jnp.where(among & (number[:, None] > number), (to_next - actual.lever_right)[None], 0.0)
+    return jnp.where(np.diag(topology.slender_rfes), -actual.lever_right[None], beyond)
+
+
+def _carried(actual: ModelWithErrors, turned: Array, other: Array) -> Array:
+    """Displacements (3, N), or rates of them, by those of the lever arms' directions; `other`: of other links."""
+    return jnp.where(actual.topology.slender_rfes, turned @ lever_matrix(actual).T, other)
+
+
+def with_displacements(actual: ModelWithErrors, position: Coordinates) -> Coordinates:
+    """A position with the displacements that follow from rotations."""
+    if not actual.topology.slender:
+        return position
+    phi = position.elastic[3:]
+    (_, cy, cz), (_, sy, sz) = jnp.cos(phi), jnp.sin(phi)
+    turned = jnp.stack([cy * cz, sz, -sy * cz]) - AXIS if actual.topology.exact else cross(phi, jnp.asarray(AXIS))
+    return Coordinates(position.joints, jnp.concatenate([_carried(actual, turned, position.elastic[:3]), phi]))
+
+
+def completed_state(actual: ModelWithErrors, state: State) -> State:
+    """A state with the displacements that follow from rotations, and their rates."""
+    if not actual.topology.slender:
+        return state
+    position, velocity = state.position, state.velocity
+
+    def elastic(values: Array) -> Array:
+        return with_displacements(actual, Coordinates(position.joints, values)).elastic
+
+    values, rates = jax.jvp(elastic, (position.elastic,), (velocity.elastic,))
+    return State(Coordinates(position.joints, values), Coordinates(velocity.joints, rates))
+
+
+def completed(actual: ModelWithErrors, relative: Turning, accelerations: Coordinates) -> Coordinates:
+    """Second derivatives of the coordinates with those of the displacements that follow from the others."""
+    if not actual.topology.slender:
+        return accelerations
+    u, phi = accelerations.elastic[:3], accelerations.elastic[3:]
+    if actual.topology.exact:
+        axis, spin = relative.rotation[:, 0], relative.angular
+        turned = cross(apply(relative.rate_matrix, phi) + relative.rate_bias, axis) + cross(spin, cross(spin, axis))
+    else:
+        turned = cross(phi, jnp.asarray(AXIS))
+    return Coordinates(accelerations.joints, jnp.concatenate([_carried(actual, turned, u), phi]))
+
+
+def projected(
+    actual: ModelWithErrors, relative: Turning, force: Float[Array, "3 rfes"], moment: Float[Array, "3 rfes"]
+) -> tuple[Float[Array, "3 rfes"], Float[Array, "3 rfes"]]:
+    """Generalised forces on the coordinates that are left of forces in link axes, and moments about the axes of the
+    angles' rates, on every rfe: no force, and moments with those of the forces beyond."""
+    if not actual.topology.slender:
+        return force, moment
+    beyond = force @ lever_matrix(actual)
+    if actual.topology.exact:
+        about = apply_transposed(relative.rate_matrix, cross(relative.rotation[:, 0], beyond))
+    else:
+        about = cross(jnp.asarray(AXIS), beyond)
+    return jnp.where(actual.topology.slender_rfes, 0.0, force), moment + about
+
+
+def unit_rates(actual: ModelWithErrors, relative: Turning | None, link: int) -> Float[Array, "elastic rotations"]:
+    """Rates (6 m, 3 m) of all coordinates of a slender link with m free rfes, angles first, by those of its angles,
+    component by component; `relative`: None for the undeformed link."""
+    a, b = actual.topology.ranges[link]
+    m, levers = b - a, lever_matrix(actual)[a:b, a:b]
+    turning = jnp.broadcast_to(jnp.asarray(-vectors.cross_matrix(jnp.asarray(AXIS))), (3, 3, m))
+    if relative is not None and actual.topology.exact:
+        turning = -vectors.product(vectors.cross_matrix(relative.rotation[:, 0]), relative.rate_matrix)[:, :, a:b]
+    by_angles = turning[:, None] * levers[None, :, None]
+    return jnp.concatenate([jnp.eye(3 * m), by_angles.reshape(3 * m, 3 * m)])
