@@ -14,13 +14,12 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from rfem_jax.mechanics.dynamics import loads
-from rfem_jax.mechanics.dynamics.dynamics import Accelerations
+from rfem_jax.mechanics.dynamics.dynamics import Accelerations, accelerations
 from rfem_jax.mechanics.forces import friction
 from rfem_jax.mechanics.forces.bush_contacts import contact_losses
 from rfem_jax.mechanics.forces.element_loads import FrameLoads
 from rfem_jax.mechanics.forces.joint_forces import LawForces, rate_about_axis
 from rfem_jax.mechanics.implicit.condensation import LinkOperator
-from rfem_jax.mechanics.implicit.slender_dynamics import accelerations
 from rfem_jax.mechanics.kinematics.motion import Motion
 from rfem_jax.mechanics.kinematics.slender_links import completed_state
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation, impose

@@ -15,7 +15,6 @@ from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.dynamics.centre_lines import link_ends
 from rfem_jax.mechanics.dynamics.dynamics import Accelerations
 from rfem_jax.mechanics.dynamics.point_paths import PointMotion, point_motions
-from rfem_jax.mechanics.dynamics.slender_forces import slender_forces
 from rfem_jax.mechanics.elements.linear_validity import LinearRange, linear_range
 from rfem_jax.mechanics.forces.bush_contacts import ContactState, contact_states
 from rfem_jax.mechanics.forces.element_loads import FrameLoads
@@ -194,7 +193,7 @@ def observe(
             stabilising=instant.stabilising,
             multiplier=instant.multiplier,
             range_used=range_used(topology, state.position),
-            linear=linear_range(actual, state.position, slender_forces(actual, instant)),
+            linear=linear_range(actual, state.position),
             ends=link_ends(actual, now)[0],
             branch=_branch(actual, instant),
             square_integrals=jnp.stack([integrals.axial_square + integrals.normal_square, integrals.moment_square]),

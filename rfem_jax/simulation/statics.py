@@ -34,7 +34,6 @@ from rfem_jax.mechanics.dynamics import dynamics, loads
 from rfem_jax.mechanics.dynamics.base_loads import ShakingLoad, shaking_load
 from rfem_jax.mechanics.dynamics.point_paths import PointMotion, point_motions
 from rfem_jax.mechanics.dynamics.section_loads import loads_of_sections, section_edges, stress_squares
-from rfem_jax.mechanics.dynamics.slender_forces import slender_forces
 from rfem_jax.mechanics.elements.linear_validity import linear_error, linear_range
 from rfem_jax.mechanics.forces.bush_contacts import ContactState, contact_states
 from rfem_jax.mechanics.forces.element_loads import FrameLoads
@@ -285,7 +284,7 @@ def _at_pose(model: Model, actual: ModelWithErrors, pose: ClosedPose, asked: Seq
         contacts=contact_states(actual, still.motion),
         saved=_saved(model, actual, state, still, asked),
         balance=jax.lax.stop_gradient(_balance(actual, state, still, whole)),
-        linear_error=linear_error(linear_range(actual, position, slender_forces(actual, still))),
+        linear_error=linear_error(linear_range(actual, position)),
         status=status,
         rates=rates,
         accelerations=accelerated,

@@ -24,7 +24,6 @@ from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.dynamics.base_loads import ShakingLoad
 from rfem_jax.mechanics.dynamics.load_axes import AXES, turned_loads
 from rfem_jax.mechanics.dynamics.point_paths import point_motions
-from rfem_jax.mechanics.dynamics.slender_forces import slender_forces
 from rfem_jax.mechanics.elements.linear_validity import linear_error, linear_range
 from rfem_jax.mechanics.forces.bush_contacts import ContactState, contact_states
 from rfem_jax.mechanics.model.errors import AssemblyErrors, Errors, errors_of
@@ -189,7 +188,7 @@ def held_at(model: Model, errors: AssemblyErrors, pose: ClosedPose, stresses: bo
         stress=largest_stresses(model, actual, state, still) if stresses else {},
         status=status,
         contacts=contact_states(actual, still.motion),
-        linear_error=linear_error(linear_range(actual, position, slender_forces(actual, still))),
+        linear_error=linear_error(linear_range(actual, position)),
         points={name: PointPath.of(one, topology.plane) for name, one in points.items()},
         in_axes=turned,
         couplings={name: mesh.loads for name, mesh in meshes.items()},

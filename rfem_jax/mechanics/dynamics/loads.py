@@ -98,7 +98,7 @@ class Resting(NamedTuple):
 def joint_loads(actual: ModelWithErrors, result: Accelerations, drive: DriveInput) -> JointLoads:
     """Loads of all joints by the equations of motion of the rfes 0 (theory (8.4)); where redundant reactions are to be
     least, and with slender links, by `chain_loads`."""
-    if actual.topology.minimum_norm or result.interface_tree is None:
+    if actual.topology.minimum_norm or actual.topology.slender:
         return chain_loads(actual, result, result.angular, result.linear, drive)[0]
     with jax.named_scope("joint_loads"):
         topology, tree, cuts = actual.topology, result.interface_tree, result.closure

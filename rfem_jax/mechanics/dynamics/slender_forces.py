@@ -3,7 +3,7 @@
 Place in the pipeline: loads -> **slender_forces** -> section_loads, observation, statics.
 """
 
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import jax.numpy as jnp
 import numpy as np
@@ -34,16 +34,6 @@ class Moving(Protocol):
     def frame_loads(self) -> FrameLoads | None: ...
 
 
-class AtRest(NamedTuple):
-    """A mechanism at rest as `Moving`."""
-
-    motion: Motion
-    angular: Float[Array, "3 nodes"]
-    linear: Float[Array, "3 nodes"]
-    wrenches: list[Float[Array, "6"]]
-    frame_loads: FrameLoads | None
-
-
 def slender_forces(actual: ModelWithErrors, now: Moving) -> Float[Array, "3 rfes"] | None:
     """Force [N] that the sde on the left of every free rfe exerts on it, in link axes: what all rfes from there to the
     end of the link need for their motion (theory (1.23)); zero in other links, None without slender ones."""
@@ -56,7 +46,7 @@ def slender_forces(actual: ModelWithErrors, now: Moving) -> Float[Array, "3 rfes
         for node, sign in zip(sides, (-1.0, 1.0), strict=True):
             if node >= n:
                 force = apply_transposed(now.motion.links.rotation[:, :, topology.link_of(node)], now.wrenches[j][3:])
-                needed = needed - sign * force[:, None] * (np.arange(topology.n_rfes) == node - n)
+                needed = needed - sign * force[:, None] * (np.arange(topology.n_rfes) == node - n)[None]
     owner, number = topology.link_of_rfe, np.arange(topology.n_rfes)
     beyond = (owner[:, None] == owner) & (number[:, None] >= number) & topology.slender_rfes
     return needed @ jnp.asarray(beyond.astype(float))

@@ -35,24 +35,23 @@ class LinearRange(NamedTuple):
     stored: Float[Array, "*times links"]
 
 
-def linear_range(actual: ModelWithErrors, position: Coordinates, carried: Array | None = None) -> LinearRange:
-    """Terms that linear elements neglect at one position; zero with rigid links and geometrically exact elements;
-    `carried` (3, N) [N]: as of `slender_forces`."""
+def linear_range(actual: ModelWithErrors, position: Coordinates) -> LinearRange:
+    """Terms that linear elements neglect at one position; zero with rigid links and geometrically exact elements.
+    Slender links neglect no shortening, and their springs carry no axial force."""
     topology = actual.topology
     if topology.exact or not topology.n_rfes:
         return LinearRange(jnp.zeros(()), jnp.zeros((0,)), jnp.zeros((0,)))
-    actual, position, carried = jax.lax.stop_gradient((actual, position, carried))
+    actual, position = jax.lax.stop_gradient((actual, position))
     phi = position.elastic[3:]
     bending, turned = jnp.sum(phi[1:] ** 2, axis=0), jnp.sum(phi**2, axis=0)
     at_rest = State(position, jax.tree.map(jnp.zeros_like, position))
     stretch, _ = elasticity.deflections(actual, at_rest)
     stress = actual.stiffness * stretch
-    axial = stress[0] if carried is None else stress[0] - carried[0]
     lengths = -2.0 * actual.lever_right  # of the rfes, whose left ends are sdes
     weights = np.array([LEAST_BENDING, 1.0, 1.0, 1.0, 1.0, 1.0])[:, None]
     return LinearRange(
         rotation=ERROR_BY_ROTATION * jnp.max(jnp.sqrt(bending * turned)),
-        shortening=total(topology, jnp.abs(axial) * lengths * bending),
+        shortening=total(topology, jnp.abs(stress[0]) * lengths * bending),
         stored=total(topology, jnp.sum(weights * stress * stretch, axis=0)),
     )
 

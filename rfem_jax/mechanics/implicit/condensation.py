@@ -130,12 +130,6 @@ def _rigid_bodies(actual: ModelWithErrors, centre: Array, inertia: Array, middle
     return _RigidBodies(mass, coupling, moved, root_inertia(actual, slice(n)))
 
 
-def mass_operators(actual: ModelWithErrors, relative: RelativeMotion) -> tuple[LinkOperator | None, ...]:
-    """Operators in which springs do not count, for accelerations at one instant: exact at the present deflection, with
-    both forms of elements, and differentiated."""
-    return _operators(actual, relative, None)
-
-
 def root_inertia(actual: ModelWithErrors, link: int | slice) -> Float[Array, "6 6 *links"]:
     """Spatial inertia of a link's rfe 0, or that of several links, at its frame, in its axes."""
     return vectors.spatial_inertia(actual.mass[link], actual.centre[:, link], actual.inertia[:, :, link])
@@ -146,19 +140,10 @@ def present_operators(
 ) -> tuple[LinkOperator | None, ...]:
     """`link_operators` of geometrically exact elements at the present deflection."""
     actual, relative = jax.lax.stop_gradient((actual, relative))
-    return _operators(actual, relative, (q_factor, v_factor))
-
-
-def _operators(
-    actual: ModelWithErrors, relative: RelativeMotion, factors: tuple[Array, Array] | None
-) -> tuple[LinkOperator | None, ...]:
-    """Operators at the present deflection; `factors`: q_factor [s^2] and v_factor [s], None without springs."""
     topology = actual.topology
-    springs = None
-    if factors is not None:
-        zeros = jnp.zeros_like(actual.rest)
-        u = relative.position - jnp.stack([actual.rest, zeros, zeros])
-        springs = exact_elements.stiffness_blocks(actual, u, relative)
+    zeros = jnp.zeros_like(actual.rest)
+    u = relative.position - jnp.stack([actual.rest, zeros, zeros])
+    springs = exact_elements.stiffness_blocks(actual, u, relative)
     rotated = product(relative.rotation, actual.inertia[:, :, topology.n_links :])
     inertia = product_transposed(rotated, relative.rotation)
     centre = apply(relative.rotation, actual.centre[:, topology.n_links :])
@@ -169,12 +154,10 @@ def _operators(
 
     def operator(l, a, b):
         mass, coupling, rigid = bodies.of_link(topology, l)
-        t, lower = rates[a:b], jnp.zeros_like(mass)
-        if factors is not None and springs is not None:
-            s = factors[0] + actual.damping[a] * factors[1]
-            mass, left = mass + s * springs.diagonal[a:b], jnp.roll(t, 1, axis=0)
-            lower = s * jnp.einsum("mji,mjk,mkl->mil", t, springs.lower[a:b], left)
-        diagonal = jnp.einsum("mji,mjk,mkl->mil", t, mass, t)
+        s, t = q_factor + actual.damping[a] * v_factor, rates[a:b]
+        diagonal = jnp.einsum("mji,mjk,mkl->mil", t, mass + s * springs.diagonal[a:b], t)
+        left = jnp.roll(t, 1, axis=0)
+        lower = s * jnp.einsum("mji,mjk,mkl->mil", t, springs.lower[a:b], left)
         coupling = jnp.einsum("mji,mjk->mik", t, coupling)
         motions = unit_rates(actual, relative, l) if l in topology.slender else None
         return _condense(diagonal, lower, coupling, rigid, motions, interfaces=local_interfaces(topology, l))

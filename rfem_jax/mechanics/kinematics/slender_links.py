@@ -3,9 +3,9 @@
 Place in the pipeline: model with errors -> **slender_links** -> motion, residual, condensation, statics.
 
 Without axial and shear deflections an sde is a ball joint with springs, and the displacements of a link's rfes follow
-from their rotations, along the chain of lever arms (theory (1.20)):
+from their rotations, along the chain of lever arms, with both forms of elements (theory (1.20)):
 
-    u = A g,     g_j = R_j e_x - e_x  (linear elements: phi_j x e_x),
+    u = A g,     g_j = R_j e_x - e_x,
 
 with a constant lower triangular matrix A of lever arms.  A state keeps six coordinates of every rfe; those of
 displacement are put in wherever a motion is formed.  Forces in the sdes do no work; generalised forces on the rotations
@@ -62,8 +62,9 @@ def with_displacements(actual: ModelWithErrors, position: Coordinates) -> Coordi
         return position
     phi = position.elastic[3:]
     (_, cy, cz), (_, sy, sz) = jnp.cos(phi), jnp.sin(phi)
-    turned = jnp.stack([cy * cz, sz, -sy * cz]) - AXIS if actual.topology.exact else cross(phi, jnp.asarray(AXIS))
-    return Coordinates(position.joints, jnp.concatenate([_carried(actual, turned, position.elastic[:3]), phi]))
+    axis = [cy * cz, sz, -sy * cz] if actual.topology.exact else [cz * cy, sz * cy, -sy]
+    u = _carried(actual, jnp.stack(axis) - AXIS, position.elastic[:3])
+    return Coordinates(position.joints, jnp.concatenate([u, phi]))
 
 
 def completed_state(actual: ModelWithErrors, state: State) -> State:
@@ -84,11 +85,8 @@ def completed(actual: ModelWithErrors, relative: Turning, accelerations: Coordin
     if not actual.topology.slender:
         return accelerations
     u, phi = accelerations.elastic[:3], accelerations.elastic[3:]
-    if actual.topology.exact:
-        axis, spin = relative.rotation[:, 0], relative.angular
-        turned = cross(apply(relative.rate_matrix, phi) + relative.rate_bias, axis) + cross(spin, cross(spin, axis))
-    else:
-        turned = cross(phi, jnp.asarray(AXIS))
+    axis, spin = relative.rotation[:, 0], relative.angular
+    turned = cross(apply(relative.rate_matrix, phi) + relative.rate_bias, axis) + cross(spin, cross(spin, axis))
     return Coordinates(accelerations.joints, jnp.concatenate([_carried(actual, turned, u), phi]))
 
 
@@ -100,10 +98,7 @@ def projected(
     if not actual.topology.slender:
         return force, moment
     beyond = force @ lever_matrix(actual)
-    if actual.topology.exact:
-        about = apply_transposed(relative.rate_matrix, cross(relative.rotation[:, 0], beyond))
-    else:
-        about = cross(jnp.asarray(AXIS), beyond)
+    about = apply_transposed(relative.rate_matrix, cross(relative.rotation[:, 0], beyond))
     return jnp.where(actual.topology.slender_rfes, 0.0, force), moment + about
 
 
@@ -113,7 +108,7 @@ def unit_rates(actual: ModelWithErrors, relative: Turning | None, link: int) -> 
     a, b = actual.topology.ranges[link]
     m, levers = b - a, lever_matrix(actual)[a:b, a:b]
     turning = jnp.broadcast_to(jnp.asarray(-vectors.cross_matrix(jnp.asarray(AXIS))), (3, 3, m))
-    if relative is not None and actual.topology.exact:
+    if relative is not None:
         turning = -vectors.product(vectors.cross_matrix(relative.rotation[:, 0]), relative.rate_matrix)[:, :, a:b]
     by_angles = turning[:, None] * levers[None, :, None]
     return jnp.concatenate([jnp.eye(3 * m), by_angles.reshape(3 * m, 3 * m)])

@@ -358,10 +358,14 @@ class Topology(NamedTuple):
         return node if node < self.n_links else int(self.link_of_rfe[node - self.n_links])
 
     def island_of(self, node: int) -> int:
-        """The root of a node's island: an interface, or the link that is joined to the base."""
-        while node < self.n_links and self.parents[node] != BASE:
-            node = self.parents[node]
+        """The root of a node's island: an interface of a link that is not slender, or the link joined to the base."""
+        while (node < self.n_links and self.parents[node] != BASE) or self.is_slender(node):
+            node = self.parents[node] if node < self.n_links else self.link_of(node)
         return node
+
+    def is_slender(self, node: int) -> bool:
+        """Whether a node is a free rfe of a slender link."""
+        return node >= self.n_links and self.link_of(node) in self.slender
 
     def joint(self, name: str) -> int:
         """Index of a joint by its name."""

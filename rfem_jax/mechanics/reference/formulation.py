@@ -116,7 +116,7 @@ def _slender_place(actual: ModelWithErrors, position: Coordinates, rfe: int) -> 
 
     def moved(k: int, lever: Array) -> Array:
         phi = position.elastic[3:, k]
-        return lever * (_rfe_rotation(topology, phi) @ x - x if topology.exact else jnp.cross(phi, x))
+        return lever * (_rfe_rotation(topology, phi) @ x - x)
 
     place = jnp.zeros(3)
     first = topology.ranges[topology.link_of(topology.n_links + rfe)][0]

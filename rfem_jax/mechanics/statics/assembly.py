@@ -30,7 +30,6 @@ from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.algebra.derivative_rules import implicit_function
 from rfem_jax.mechanics.algebra.vectors import Scalar, apply_transposed, cross, dot, solve_equations
 from rfem_jax.mechanics.dynamics import loads
-from rfem_jax.mechanics.dynamics.slender_forces import AtRest, slender_forces
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.elements.linear_validity import linear_error, linear_range
 from rfem_jax.mechanics.forces.bush_contacts import ContactState, contact_states
@@ -133,19 +132,8 @@ def _assemble(model: Model, errors: AssemblyErrors, hold: dict[str, Array] | str
     state = loads.static_state(model.topology, position)
     preload = named(model, static_loads(model, actual, state, multipliers))
     contacts = contact_states(actual, motion_of(actual, state)) if model.topology.clearances else None
-    error = linear_error(linear_range(actual, position, _carried(model, actual, state, multipliers)))
+    error = linear_error(linear_range(actual, position))
     return Assembled(state, preload, status, contacts=contacts, linear_error=error)
-
-
-def _carried(model: Model, actual: ModelWithErrors, state: State, multipliers: Array) -> Array | None:
-    """Forces in slender links at rest (`slender_forces`)."""
-    if not model.topology.slender:
-        return None
-    at_rest = jnp.zeros((3, actual.mass.shape[0]))
-    resting, wrenches = loads.moving_wrenches(
-        actual, closed_at_rest(model, actual, state, multipliers), at_rest, at_rest
-    )
-    return slender_forces(actual, AtRest(resting.motion, at_rest, at_rest, wrenches, resting.frame_loads))
 
 
 def checked_hold(model: Model, hold: Mapping[str, ArrayLike] | str | None) -> dict[str, Array] | str | None:
