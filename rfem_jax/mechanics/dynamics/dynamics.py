@@ -25,7 +25,17 @@ from jaxtyping import Float
 
 from rfem_jax.mechanics.algebra import vectors
 from rfem_jax.mechanics.algebra.vectors import Scalar, apply, apply_transposed, cross, dot, product
-from rfem_jax.mechanics.dynamics.slender_chains import Chain, chain_of, classical, inboard, outboard, spatial_bodies
+from rfem_jax.mechanics.dynamics.slender_chains import (
+    Chain,
+    Eliminated,
+    chain_of,
+    chain_wrench,
+    classical,
+    inboard,
+    on_interface,
+    outboard,
+    spatial_bodies,
+)
 from rfem_jax.mechanics.elements.elasticity import elastic_loads
 from rfem_jax.mechanics.forces.element_loads import FrameLoads, frame_loads
 from rfem_jax.mechanics.forces.friction import cut_friction, node_wrenches, tree_friction, with_friction
@@ -62,7 +72,7 @@ class Accelerations(NamedTuple):
     reference points in link axes; spatial (6, L): accelerations of the links at their islands' points;
     motion, closure, interface_tree: what they were computed from; dissipated [W]: power that the dampers
     dissipate; laws: forces of springs and laws along joint coordinates, None without any; frame_loads: what force
-    elements exert, likewise.
+    elements exert, likewise; chain_wrenches: by slender link what its rfe 0 exerts on the next rfe, at its point.
     """
 
     coordinates: Coordinates
@@ -77,6 +87,7 @@ class Accelerations(NamedTuple):
     dissipated: Float[Array, ""]
     laws: LawForces | None
     frame_loads: FrameLoads | None = None
+    chain_wrenches: dict[int, Float[Array, "6"]] = {}  # noqa: RUF012 - never changed
 
 
 @jax.jit  # traced once for all its places
@@ -106,7 +117,7 @@ def accelerations(
     in_cuts = node_wrenches(topology, cuts, None if laws is None else laws.cuts) if chains else {}
     forces = applied_forces(topology, state.position, drive, laws)
     columns, along = _load_columns(topology, cuts, tree, in_cuts), _along_joints(topology, cuts)
-    responses, rates, of_chains = _articulated_bodies(topology, tree, chains, columns, drive, forces, along)
+    responses, rates, swept = _articulated_bodies(topology, tree, chains, columns, drive, forces, along)
     responses |= _cut_rfe_responses(actual, motion, cuts, angular, linear, laws)
     of_joints = sum((along[k][1:, None] * rates[k][None] for k in along), start=0.0)
     multipliers, stabilising = _multipliers(topology, cuts, motion, tree, responses, of_joints, stabilisation)
@@ -115,7 +126,7 @@ def accelerations(
     solved = {node: _combine(columns, weights) for node, columns in responses.items()}
     angular, linear = _with_interfaces(topology, motion, solved, angular, linear)
     for l, chain in chains.items():
-        (a, b), spatial = topology.ranges[l], _combine(jnp.moveaxis(of_chains[l], 0, 2), weights[:, None])
+        (a, b), spatial = topology.ranges[l], _combine(jnp.moveaxis(swept[l][1], 0, 2), weights[:, None])
         found = classical(motion, chain, l, spatial)
         angular, linear = (
             jnp.concatenate([one[:, :a], new, one[:, b:]], axis=1) for one, new in zip((angular, linear), found)
@@ -137,6 +148,7 @@ def accelerations(
         dissipated=total_dissipated(dissipated, laws, at_nodes, cuts),
         laws=laws,
         frame_loads=at_nodes,
+        chain_wrenches={l: chain_wrench(chains[l], swept[l][0], spatial[:, l], weights) for l in chains},
     )
 
 
@@ -309,24 +321,24 @@ def _articulated_bodies(
     drive: DriveInput,
     forces: dict[int, Array],
     along: dict[int, Array],
-) -> tuple[dict[int, Array], list[Array], dict[int, Array]]:
+) -> tuple[dict[int, Array], list[Array], dict[int, tuple[Eliminated, Array]]]:
     """Featherstone's articulated-body algorithm for K columns of loads at once: accelerations (6, K) of the
-    bodies, (K,) of the joint coordinates, and (m, 6, K) of the rfes of chains; `forces`: along joint coordinates;
-    `along`: as of `_along_joints`.
+    bodies and (K,) of the joint coordinates, and of chains what remains of them with accelerations (m, 6, K) of their
+    rfes; `forces`: along joint coordinates; `along`: as of `_along_joints`.
 
     The coordinates of a joint are eliminated one after another, as if bodies without mass were between them, which
     is the Cholesky factorisation of the joint's own matrix (theory (4.10)).
     """
     with jax.named_scope("articulated_bodies"):
         columns = tree.inertia.shape[2]
-        inertias = {node: tree.inertia[:, :, i] if i < columns else jnp.zeros((6, 6)) for i, node in enumerate(loads)}
-        loads, steps, accelerations, eliminated, of_chains = dict(loads), {}, {}, {}, {}
+        inertias = {node: tree.inertia[:, :, i] for i, node in enumerate(loads) if i < columns}
+        loads, steps, accelerations, remaining, swept = dict(loads), {}, {}, {}, {}
         for l in reversed(range(topology.n_links)):
             node, inertia, load = topology.parents[l], inertias[l], loads[l]
             # Bias accelerations and drives belong to the applied loads, not to the unit multipliers.
             first = jnp.asarray(np.eye(1, load.shape[1])[0])
             if l in chains:
-                eliminated[l], more, passed = inboard(chains[l], inertias, loads, first)
+                remaining[l], more, passed = inboard(chains[l], inertias, loads, first)
                 inertia, load = inertia + more, load + passed
             for k in reversed(topology.coordinates[l]):
                 axis, bias = tree.axis[:, k], tree.bias[:, k]
@@ -348,7 +360,7 @@ def _articulated_bodies(
                 inertia = inertia - u[:, None] * by_inertia[None]
                 load = load - apply(inertia, bias)[:, None] * first[None] - by_inertia[:, None] * torque[None]
             if node != BASE:
-                inertias[node] = inertias[node] + inertia
+                inertias[node] = inertias[node] + inertia if node in inertias else inertia
                 loads[node] = loads[node] + load
         for node in _branching(topology):
             inverse = vectors.invert_positive(inertias[node])
@@ -366,9 +378,10 @@ def _articulated_bodies(
             accelerations[l] = jnp.zeros_like(loads[l]) if acceleration is None else acceleration
             if l in chains:
                 first = jnp.asarray(np.eye(1, loads[l].shape[1])[0])
-                of_chains[l] = outboard(chains[l], eliminated[l], accelerations[l], first)
-                accelerations |= {node: of_chains[l][place] for node, place in chains[l].interfaces.items()}
-        return accelerations, rates, of_chains
+                swept[l] = remaining[l], outboard(chains[l], remaining[l], accelerations[l], first)
+                for node, place in chains[l].interfaces.items():
+                    accelerations[node] = on_interface(chains[l], place, swept[l][1])
+        return accelerations, rates, swept
 
 
 def _cut_rfe_responses(

@@ -97,8 +97,8 @@ class Resting(NamedTuple):
 
 def joint_loads(actual: ModelWithErrors, result: Accelerations, drive: DriveInput) -> JointLoads:
     """Loads of all joints by the equations of motion of the rfes 0 (theory (8.4)); where redundant reactions are to be
-    least, and with slender links, by `chain_loads`."""
-    if actual.topology.minimum_norm or actual.topology.slender:
+    least, by `chain_loads`."""
+    if actual.topology.minimum_norm:
         return chain_loads(actual, result, result.angular, result.linear, drive)[0]
     with jax.named_scope("joint_loads"):
         topology, tree, cuts = actual.topology, result.interface_tree, result.closure
@@ -108,6 +108,8 @@ def joint_loads(actual: ModelWithErrors, result: Accelerations, drive: DriveInpu
         for l in reversed(range(n)):
             # W_l = I_l A_l - p_l + W_j of joints with parent l - W_c of cut joints with child l (theory (8.4)).
             wrench, point = net[:, l], tree.point[:, l]
+            if l in result.chain_wrenches:
+                wrench = wrench + result.chain_wrenches[l]
             for j in range(l + 1, n):
                 if topology.parents[j] == l:
                     wrench = wrench + wrenches[j]
