@@ -244,14 +244,14 @@ def _interface_tree(
             apply(link_rotation, applied_moment), apply(link_rotation, applied_force), where - point
         )
 
-        inertia, load = spatial_bodies(actual, np.array(nodes), rotation, where - point, velocity, applied)
+        inertia, weight, gyroscopic = spatial_bodies(actual, np.array(nodes), rotation, where - point, velocity)
         at_joints = by_freedom(topology, point[:, :n])
         axis, axis_velocity = _shifted(motion.axis, at_joints), _shifted(motion.axis_velocity, at_joints)
         return InterfaceTree(
             point=point,
             velocity=velocity,
             inertia=inertia,
-            load=load,
+            load=applied + weight - gyroscopic,
             axis=axis,
             bias=vectors.motion_cross(axis_velocity, axis * state.velocity.joints[None]),
         )

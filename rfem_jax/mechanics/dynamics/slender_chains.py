@@ -54,8 +54,8 @@ class Chain(NamedTuple):
 
 
 class Eliminated(NamedTuple):
-    """What is left of a chain: angular accelerations (m, 3, K) of its rfes, by_linear (m, 3, 3), by which linear ones of
-    their joints reduce these; mass (3, 3) and force (3, K) that rfe 0 feels at the first joint."""
+    """What is left of a chain: angular accelerations (m, 3, K) of its rfes; by_linear (m, 3, 3), by which linear
+    ones of their joints reduce these; mass (3, 3) and force (3, K) that rfe 0 feels at the first joint."""
 
     angular: Float[Array, "m 3 columns"]
     by_linear: Float[Array, "m 3 3"]
@@ -79,7 +79,8 @@ def chain_of(actual: ModelWithErrors, motion: Motion, link: int, point: Array, w
     turning = velocity[:3] - jnp.concatenate([of_link[:3], velocity[:3, :-1]], axis=1)
     force, moment = (apply(axes, part[:, a:b]) for part in wrenches)
     applied = vectors.wrench_at_origin(moment, force, place - joints)
-    inertia, load = spatial_bodies(actual, np.arange(n + a, n + b), rotation, place - joints, velocity, applied)
+    nodes = np.arange(n + a, n + b)
+    inertia, weight, gyroscopic = spatial_bodies(actual, nodes, rotation, place - joints, velocity)
     return Chain(
         interfaces={n + k: k - a for k in topology.interfaces if a <= k < b},
         first=joints[:, 0] - point,
@@ -87,24 +88,23 @@ def chain_of(actual: ModelWithErrors, motion: Motion, link: int, point: Array, w
         where=place - joints,
         velocity=velocity,
         inertia=inertia,
-        load=load,
+        load=applied + weight - gyroscopic,
         bias=cross(velocity[3:], turning),
     )
 
 
 def spatial_bodies(
-    actual: ModelWithErrors, nodes: np.ndarray, rotation: Array, where: Array, velocity: Array, applied: Array
-) -> tuple[Float[Array, "6 6 n"], Float[Array, "6 n"]]:
-    """Inertias of bodies, and what acts on them apart from joints less the gyroscopic wrench (theory (4.1), (4.2)), at
-    the points from which `where` reaches to their reference points; `applied`: wrenches (6, n) there."""
+    actual: ModelWithErrors, nodes: np.ndarray, rotation: Array, where: Array, velocity: Array
+) -> tuple[Float[Array, "6 6 n"], Float[Array, "6 n"], Float[Array, "6 n"]]:
+    """Inertias, weights and gyroscopic wrenches of bodies (theory (4.1), (4.2)), at the points from which `where`
+    reaches to their reference points."""
     centre = where + apply(rotation, actual.centre[:, nodes])
     inertia = product_transposed(product(rotation, actual.inertia[:, :, nodes]), rotation)
     mass = jnp.broadcast_to(actual.mass[nodes], inertia.shape[2:])
     inertia = vectors.spatial_inertia(mass, centre, inertia)
     gravity = vectors.scaled(mass, actual.gravity[:, None])
     weight = vectors.wrench_at_origin(jnp.zeros_like(gravity), gravity, centre)
-    gyroscopic = vectors.force_cross(velocity, apply(inertia, velocity))
-    return inertia, applied + weight - gyroscopic
+    return inertia, weight, vectors.force_cross(velocity, apply(inertia, velocity))
 
 
 def inboard(

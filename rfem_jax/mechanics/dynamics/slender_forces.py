@@ -46,7 +46,7 @@ def slender_forces(actual: ModelWithErrors, now: Moving) -> Float[Array, "3 rfes
         for node, sign in zip(sides, (-1.0, 1.0), strict=True):
             if node >= n:
                 force = apply_transposed(now.motion.links.rotation[:, :, topology.link_of(node)], now.wrenches[j][3:])
-                needed = needed - sign * force[:, None] * (np.arange(topology.n_rfes) == node - n)[None]
+                needed = needed - sign * force[:, None] * (np.arange(topology.n_rfes) == node - n)[None].astype(float)
     owner, number = topology.link_of_rfe, np.arange(topology.n_rfes)
     beyond = (owner[:, None] == owner) & (number[:, None] >= number) & topology.slender_rfes
     return needed @ jnp.asarray(beyond.astype(float))

@@ -437,8 +437,8 @@ def reference_accelerations(
     stabilisation: Stabilisation,
     applied: Float[Array, " coordinates"] | None = None,
 ) -> tuple[Coordinates, Float[Array, " constraints"]]:
-    """Second derivatives of the coordinates (zero of displacements in slender links), and multipliers [N] without those
-    of springs, from the dense system; `applied`: more forces, flat."""
+    """Second derivatives of the coordinates, and multipliers [N] without those of springs, from the dense system;
+    `applied`: more forces, flat."""
     topology = actual.topology
     qd, unravel = ravel_pytree(state.velocity)
     # Changes from the present position are coordinates of which there are as many as rates.
@@ -491,7 +491,10 @@ def reference_accelerations(
     gamma = -jax.jvp(phi_rate, (q,), (qd,))[1]
     gamma = gamma - stabilisation.velocity_gain * phi_rate(q) - stabilisation.position_gain * phi(q)
     found, multipliers = _solve_augmented(mass, jacobian, force, gamma, drive, topology.minimum_norm)
-    return unravel(found), multipliers[: topology.n_constraints - sum(topology.sprung_rows)]
+    found = unravel(found)
+    if topology.slender:
+        found = Coordinates(found.joints, _displaced(actual, state, found).elastic)
+    return found, multipliers[: topology.n_constraints - sum(topology.sprung_rows)]
 
 
 def _solve_augmented(
@@ -510,6 +513,19 @@ def _solve_augmented(
     system = jnp.block([[mass, -jacobian.T], [jacobian, corner]])
     solution = jnp.linalg.solve(system, jnp.concatenate([force, gamma]))
     return solution[:n], solution[n:]
+
+
+def _displaced(actual: ModelWithErrors, state: State, accelerations: Coordinates) -> Coordinates:
+    """Second derivatives of the coordinates with those of displacements in slender links."""
+
+    def place(values: Array) -> Array:
+        at = Coordinates(state.position.joints, values)
+        slender = np.flatnonzero(actual.topology.slender_rfes)
+        return values.at[:3, slender].set(jnp.stack([_slender_place(actual, at, k) for k in slender], axis=1))
+
+    values, rates = state.position.elastic, state.velocity.elastic
+    bias = jax.jvp(lambda values: jax.jvp(place, (values,), (rates,))[1], (values,), (rates,))[1]
+    return Coordinates(accelerations.joints, jax.jvp(place, (values,), (accelerations.elastic,))[1] + bias)
 
 
 def _without_effect(topology: Topology) -> Coordinates:
