@@ -139,7 +139,7 @@ def inboard(
     nothing = jnp.zeros((3, 3)), jnp.zeros((3, len(first)))
     bodies = inertia, load, chain.arm.T, chain.bias.T
     (mass, force), (angular, by_linear) = jax.lax.scan(eliminate, nothing, bodies, reverse=True)
-    at_first = jnp.pad(mass, ((3, 0), (3, 0)))
+    at_first = jnp.concatenate([jnp.zeros((3, 6)), jnp.concatenate([jnp.zeros((3, 3)), mass], axis=1)])
     passed = jnp.concatenate([jnp.zeros_like(force), force])
     remaining = Eliminated(angular, by_linear, mass, force)
     return remaining, _moved_inertia(at_first, chain.first), _moved_load(passed, chain.first)
