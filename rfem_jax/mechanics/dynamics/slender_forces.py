@@ -5,7 +5,6 @@ Place in the pipeline: loads -> **slender_forces** -> section_loads, observation
 
 from typing import Protocol, runtime_checkable
 
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float
@@ -14,6 +13,7 @@ from rfem_jax.mechanics.algebra.vectors import apply_transposed
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.forces.element_loads import FrameLoads
 from rfem_jax.mechanics.kinematics.motion import Motion
+from rfem_jax.mechanics.kinematics.slender_links import sums_along
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 
@@ -47,6 +47,4 @@ def slender_forces(actual: ModelWithErrors, now: Moving) -> Float[Array, "3 rfes
             if node >= n:
                 force = apply_transposed(now.motion.links.rotation[:, :, topology.link_of(node)], now.wrenches[j][3:])
                 needed = needed - sign * force[:, None] * (np.arange(topology.n_rfes) == node - n)[None].astype(float)
-    owner, number = topology.link_of_rfe, np.arange(topology.n_rfes)
-    beyond = (owner[:, None] == owner) & (number[:, None] >= number) & topology.slender_rfes
-    return needed @ jnp.asarray(beyond.astype(float))
+    return sums_along(topology, needed, reverse=True)

@@ -22,7 +22,7 @@ from jaxtyping import Float
 
 from rfem_jax.mechanics.algebra import vectors
 from rfem_jax.mechanics.algebra.vectors import apply, apply_transposed, cross
-from rfem_jax.mechanics.model.model import Coordinates, State
+from rfem_jax.mechanics.model.model import Coordinates, State, Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 AXIS = vectors.IDENTITY[0][:, None]
@@ -41,19 +41,22 @@ class Turning(Protocol):
     def rate_bias(self) -> Float[Array, "3 rfes"]: ...
 
 
-def lever_matrix(actual: ModelWithErrors) -> Float[Array, "rfes rfes"]:
-    """A [m]: displacements of rfes (rows) by the rotations of rfes (columns); zero in other links."""
-    topology = actual.topology
-    owner, number = topology.link_of_rfe, np.arange(topology.n_rfes)
-    among = (owner[:, None] == owner) & topology.slender_rfes
-    to_next = jnp.concatenate([actual.lever_left[1:], jnp.zeros(1)])
-    beyond = jnp.where(among & (number[:, None] > number), (to_next - actual.lever_right)[None], 0.0)
-    return jnp.where(np.diag(topology.slender_rfes), -actual.lever_right[None], beyond)
+def sums_along(topology: Topology, values: Float[Array, "k rfes"], reverse: bool = False) -> Float[Array, "k rfes"]:
+    """Sums over the rfes of every slender link up to each, or from each on (`reverse`); zero in other links."""
+    parts = [jnp.zeros_like(values[:, :0])]
+    for l, (a, b) in enumerate(topology.ranges):
+        part = values[:, a:b]
+        parts.append(jax.lax.cumsum(part, axis=1, reverse=reverse) if l in topology.slender else jnp.zeros_like(part))
+    return jnp.concatenate(parts, axis=1)
 
 
 def _carried(actual: ModelWithErrors, turned: Array, other: Array) -> Array:
     """Displacements (3, N), or rates of them, by those of the lever arms' directions; `other`: of other links."""
-    return jnp.where(actual.topology.slender_rfes, turned @ lever_matrix(actual).T, other)
+    topology = actual.topology
+    first = np.isin(np.arange(topology.n_rfes), [a for a, _ in topology.ranges])
+    before = jnp.where(first, 0.0, jnp.roll(turned, 1, axis=1))
+    apart = actual.lever_left[None] * before - actual.lever_right[None] * turned
+    return jnp.where(topology.slender_rfes, sums_along(topology, apart), other)
 
 
 def with_displacements(actual: ModelWithErrors, position: Coordinates) -> Coordinates:
@@ -97,16 +100,22 @@ def projected(
     angles' rates, on every rfe: no force, and moments with those of the forces beyond."""
     if not actual.topology.slender:
         return force, moment
-    beyond = force @ lever_matrix(actual)
+    topology = actual.topology
+    carried = sums_along(topology, force, reverse=True)
+    last = np.isin(np.arange(topology.n_rfes) + 1, [b for _, b in topology.ranges])
+    next_ones = jnp.where(last, 0.0, jnp.roll(actual.lever_left[None] * carried, -1, axis=1))
+    beyond = next_ones - actual.lever_right[None] * carried
     about = apply_transposed(relative.rate_matrix, cross(relative.rotation[:, 0], beyond))
-    return jnp.where(actual.topology.slender_rfes, 0.0, force), moment + about
+    return jnp.where(topology.slender_rfes, 0.0, force), moment + about
 
 
 def unit_rates(actual: ModelWithErrors, relative: Turning | None, link: int) -> Float[Array, "elastic rotations"]:
     """Rates (6 m, 3 m) of all coordinates of a slender link with m free rfes, angles first, by those of its angles,
     component by component; `relative`: None for the undeformed link."""
     a, b = actual.topology.ranges[link]
-    m, levers = b - a, lever_matrix(actual)[a:b, a:b]
+    m, right = b - a, actual.lever_right[a:b]
+    to_next = jnp.concatenate([actual.lever_left[a + 1 : b], jnp.zeros(1)]) - right
+    levers = jnp.where(np.eye(m, dtype=bool), -right[None], np.tri(m, k=-1) * to_next[None])
     turning = jnp.broadcast_to(jnp.asarray(-vectors.cross_matrix(jnp.asarray(AXIS))), (3, 3, m))
     if relative is not None:
         turning = -vectors.product(vectors.cross_matrix(relative.rotation[:, 0]), relative.rate_matrix)[:, :, a:b]
