@@ -332,7 +332,7 @@ def _articulated_bodies(
     with jax.named_scope("articulated_bodies"):
         columns = tree.inertia.shape[2]
         inertias = {node: tree.inertia[:, :, i] for i, node in enumerate(loads) if i < columns}
-        loads, steps, accelerations, remaining, swept = dict(loads), {}, {}, {}, {}
+        loads, steps, accelerations, remaining = dict(loads), {}, {}, {}
         for l in reversed(range(topology.n_links)):
             node, inertia, load = topology.parents[l], inertias[l], loads[l]
             # Bias accelerations and drives belong to the applied loads, not to the unit multipliers.
@@ -365,23 +365,36 @@ def _articulated_bodies(
         for node in _branching(topology):
             inverse = vectors.invert_positive(inertias[node])
             accelerations[node] = product(inverse, loads[node])
-        rates = []
-        for l in range(topology.n_links):
-            acceleration = accelerations.get(topology.parents[l])
-            for k in topology.coordinates[l]:
-                axis, given, rate, by_inertia = steps[k]
-                acceleration = given if acceleration is None else given + acceleration
-                if by_inertia is not None:
-                    rate = rate - dot(by_inertia[:, None], acceleration)
-                    acceleration = acceleration + axis[:, None] * rate[None]
-                rates.append(rate)
-            accelerations[l] = jnp.zeros_like(loads[l]) if acceleration is None else acceleration
-            if l in chains:
-                first = jnp.asarray(np.eye(1, loads[l].shape[1])[0])
-                swept[l] = remaining[l], outboard(chains[l], remaining[l], accelerations[l], first)
-                for node, place in chains[l].interfaces.items():
-                    accelerations[node] = on_interface(chains[l], place, swept[l][1])
-        return accelerations, rates, swept
+        return _outward(topology, chains, remaining, loads, steps, accelerations)
+
+
+def _outward(
+    topology: Topology,
+    chains: dict[int, Chain],
+    remaining: dict[int, Eliminated],
+    loads: dict[int, Array],
+    steps: dict[int, tuple[Array, Array, Array, Array | None]],
+    accelerations: dict[int, Array],
+) -> tuple[dict[int, Array], list[Array], dict[int, tuple[Eliminated, Array]]]:
+    """The results of `_articulated_bodies` from the base to the tips, from what the sweep to the base left;
+    `accelerations`: of bodies that nothing holds."""
+    rates, swept = [], {}
+    for l in range(topology.n_links):
+        acceleration = accelerations.get(topology.parents[l])
+        for k in topology.coordinates[l]:
+            axis, given, rate, by_inertia = steps[k]
+            acceleration = given if acceleration is None else given + acceleration
+            if by_inertia is not None:
+                rate = rate - dot(by_inertia[:, None], acceleration)
+                acceleration = acceleration + axis[:, None] * rate[None]
+            rates.append(rate)
+        accelerations[l] = jnp.zeros_like(loads[l]) if acceleration is None else acceleration
+        if l in chains:
+            first = jnp.asarray(np.eye(1, loads[l].shape[1])[0])
+            swept[l] = remaining[l], outboard(chains[l], remaining[l], accelerations[l], first)
+            for node, place in chains[l].interfaces.items():
+                accelerations[node] = on_interface(chains[l], place, swept[l][1])
+    return accelerations, rates, swept
 
 
 def _cut_rfe_responses(

@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from rfem_jax.mechanics.algebra import vectors
 from rfem_jax.mechanics.algebra.vectors import apply, apply_transposed, cross, product, product_transposed
-from rfem_jax.mechanics.dynamics.slender_forces import Moving, slender_forces
+from rfem_jax.mechanics.dynamics.slender_forces import Moving, constraint_forces
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.forces.element_loads import FrameLoads
 from rfem_jax.mechanics.model.model import BASE, Model, State, rfe_fractions
@@ -72,7 +72,7 @@ def loads_of_sections(model: Model, actual: ModelWithErrors, state: State, now: 
         sections += _at_stations(model, actual, link)
         parts = []
         if n > 1:
-            at_sdes = elasticity.section_loads(actual, state, now.motion.relative, slender_forces(actual, now))
+            at_sdes = elasticity.section_loads(actual, state, now.motion.relative, constraint_forces(actual, now))
             at_sdes = at_sdes[:, first : first + n - 1]
             parts.append(((np.arange(n - 1) + 0.5) / (n - 1) * length, at_sdes))
         if sections:
@@ -306,7 +306,7 @@ def _reference_loads(
         return jnp.zeros((6, len(rfes)))
     first, _ = topology.ranges[link]
     axes = now.motion.links.rotation[:, :, link, None]
-    force, moment = elasticity.wrenches_of_left(actual, state, now.motion.relative, slender_forces(actual, now))
+    force, moment = elasticity.wrenches_of_left(actual, state, now.motion.relative, constraint_forces(actual, now))
     zero, columns = jnp.zeros(6), []
     elastic = vectors.wrench_at_origin(
         apply(axes, moment[:, first : first + n - 1]), apply(axes, force[:, first : first + n - 1]), bodies.point[:, 1:]

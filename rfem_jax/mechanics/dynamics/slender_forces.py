@@ -1,6 +1,6 @@
 """Forces in slender links, which keep their segments from stretching and shearing and follow from equilibrium.
 
-Place in the pipeline: loads -> **slender_forces** -> section_loads, observation, statics.
+Place in the pipeline: loads -> **slender_forces** -> section_loads.
 """
 
 from typing import Protocol, runtime_checkable
@@ -34,7 +34,7 @@ class Moving(Protocol):
     def frame_loads(self) -> FrameLoads | None: ...
 
 
-def slender_forces(actual: ModelWithErrors, now: Moving) -> Float[Array, "3 rfes"] | None:
+def constraint_forces(actual: ModelWithErrors, now: Moving) -> Float[Array, "3 rfes"] | None:
     """Force [N] that the sde on the left of every free rfe exerts on it, in link axes: what all rfes from there to the
     end of the link need for their motion (theory (1.23)); zero in other links, None without slender ones."""
     topology, n = actual.topology, actual.topology.n_links

@@ -88,7 +88,7 @@ def section_loads(
     actual: ModelWithErrors, state: State, relative: RelativeMotion, carried: Array | None = None
 ) -> Float[Array, "6 rfes"]:
     """Force [N] and moment [N m] that the right side of every sde exerts on its left one, in the element's own axes
-    (linear elements: those of the link); `carried` (3, N) [N]: as of `slender_forces`."""
+    (linear elements: those of the link); `carried` (3, N) [N]: as of `constraint_forces`."""
     if actual.topology.exact:
         deflected = exact_elements.deflections(actual, state.position.elastic[:3], relative)
         loads = exact_elements.section_loads(actual, deflected)
@@ -103,7 +103,7 @@ def wrenches_of_left(
     actual: ModelWithErrors, state: State, relative: RelativeMotion, carried: Array | None = None
 ) -> tuple[Float[Array, "3 rfes"], Float[Array, "3 rfes"]]:
     """Force [N] and moment [N m] that the sde on the left of every free rfe exerts on its middle, in link axes;
-    `carried` (3, N) [N]: as of `slender_forces`."""
+    `carried` (3, N) [N]: as of `constraint_forces`."""
     if actual.topology.exact:
         deflected = exact_elements.deflections(actual, state.position.elastic[:3], relative)
         force, moments = exact_elements.on_both_rfes(actual, deflected)

@@ -249,7 +249,7 @@ def _of_slender(factored: Factored | ConstrainedChain, motions: Array, inertia: 
     loaded = product(inertia, motions)
     gain = positive_inverse(factored.matrix + transposed_product(motions, loaded))
     reduced = product_transposed(product(motions, gain), loaded)
-    return Outboard(inertia, np.eye(len(reduced)) - reduced)
+    return Outboard(inertia, jnp.eye(len(reduced)) - reduced)
 
 
 def _block_diagonal(blocks: Sequence[Array | None]) -> Array:

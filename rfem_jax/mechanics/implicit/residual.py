@@ -158,12 +158,10 @@ def evaluate_residual(
         on_force, on_moment = _interface_loads(topology, motion, wrenches)
         moment = apply_transposed(motion.relative.rate_matrix, on_moment - inertial[1][:, n:])
         force = elastic[:3] + on_force - inertial[0][:, n:]
-        moment = elastic[3:] + moment
-        force, moment = projected(actual, motion.relative, force, moment)
+        force, moment = projected(actual, motion.relative, force, elastic[3:] + moment)
         closing = closing_rate = closing_acceleration = jnp.zeros((0,))
         if cuts is not None:
-            closing = spring_residual(topology, cuts, multipliers, cuts.residual)
-            closing_rate = cuts.rate
+            closing, closing_rate = spring_residual(topology, cuts, multipliers, cuts.residual), cuts.rate
             closing_acceleration = cuts.bias + _closing_acceleration(topology, cuts, spatial, accelerations)
             closing_acceleration = spring_residual(topology, cuts, multipliers, closing_acceleration)
         return Evaluation(

@@ -12,7 +12,7 @@ displacement are put in wherever a motion is formed.  Forces in the sdes do no w
 are those of all rfes beyond, by the transpose of the same matrix (theory (1.22)).
 """
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -28,6 +28,7 @@ from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 AXIS = vectors.IDENTITY[0][:, None]
 
 
+@runtime_checkable
 class Turning(Protocol):
     """The part of the relative motion of rfes that rotations alone decide, as `motion.RelativeMotion`."""
 

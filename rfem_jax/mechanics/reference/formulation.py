@@ -521,7 +521,7 @@ def _displaced(actual: ModelWithErrors, state: State, accelerations: Coordinates
     def place(values: Array) -> Array:
         at = Coordinates(state.position.joints, values)
         slender = np.flatnonzero(actual.topology.slender_rfes)
-        return values.at[:3, slender].set(jnp.stack([_slender_place(actual, at, k) for k in slender], axis=1))
+        return values.at[:3, slender].set(jnp.stack([_slender_place(actual, at, k) for k in slender.tolist()], axis=1))
 
     values, rates = state.position.elastic, state.velocity.elastic
     bias = jax.jvp(lambda values: jax.jvp(place, (values,), (rates,))[1], (values,), (rates,))[1]
