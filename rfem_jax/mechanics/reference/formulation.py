@@ -455,9 +455,7 @@ def reference_accelerations(
 
     derivatives = jax.jacfwd(matrices)(q)
     bias = jax.jvp(rate, (q,), (qd,))[1]
-    mass = jnp.einsum("nabi,nbc,nacj->ij", derivatives, pseudo_inertia, derivatives)
-    # Displacements in slender links are no coordinates: of unit mass and without forces they stay what they are.
-    mass = mass + jnp.diag(ravel_pytree(_without_effect(topology))[0])
+    mass = jnp.einsum("nabi,nbc,nacj->ij", derivatives, pseudo_inertia, derivatives) + _without_effect(topology)
     inertial = jnp.einsum("nabi,nbc,nac->i", derivatives, pseudo_inertia, bias)
 
     def potential(frames, q):
@@ -491,10 +489,7 @@ def reference_accelerations(
     gamma = -jax.jvp(phi_rate, (q,), (qd,))[1]
     gamma = gamma - stabilisation.velocity_gain * phi_rate(q) - stabilisation.position_gain * phi(q)
     found, multipliers = _solve_augmented(mass, jacobian, force, gamma, drive, topology.minimum_norm)
-    found = unravel(found)
-    if topology.slender:
-        found = Coordinates(found.joints, _displaced(actual, state, found).elastic)
-    return found, multipliers[: topology.n_constraints - sum(topology.sprung_rows)]
+    return _displaced(actual, state, unravel(found)), multipliers[: topology.n_constraints - sum(topology.sprung_rows)]
 
 
 def _solve_augmented(
@@ -517,6 +512,8 @@ def _solve_augmented(
 
 def _displaced(actual: ModelWithErrors, state: State, accelerations: Coordinates) -> Coordinates:
     """Second derivatives of the coordinates with those of displacements in slender links."""
+    if not actual.topology.slender:
+        return accelerations
 
     def place(values: Array) -> Array:
         at = Coordinates(state.position.joints, values)
@@ -528,10 +525,10 @@ def _displaced(actual: ModelWithErrors, state: State, accelerations: Coordinates
     return Coordinates(accelerations.joints, jax.jvp(place, (values,), (accelerations.elastic,))[1] + bias)
 
 
-def _without_effect(topology: Topology) -> Coordinates:
-    """1 for coordinates that nothing depends on, 0 for all others."""
+def _without_effect(topology: Topology) -> Float[Array, "n n"]:
+    """Unit masses of displacements in slender links, which are no coordinates and stay without forces."""
     displacements = np.concatenate([np.tile(topology.slender_rfes, (3, 1)), np.zeros((3, topology.n_rfes))])
-    return Coordinates(jnp.zeros(topology.n_freedoms), jnp.asarray(displacements))
+    return jnp.diag(ravel_pytree(Coordinates(jnp.zeros(topology.n_freedoms), jnp.asarray(displacements)))[0])
 
 
 def open_multipliers(actual: ModelWithErrors, state: State, scale: Scalar) -> Float[Array, "constraints constraints"]:

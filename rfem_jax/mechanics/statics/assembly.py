@@ -268,7 +268,7 @@ def start_values(model: Model) -> Coordinates:
 
 
 def _dependent(topology: Topology) -> list[int]:
-    """Places among the unknowns of displacements that follow from rotations, in slender links."""
+    """Places among the unknowns of displacements that follow from rotations, in slender links; they stay zero."""
     places = topology.n_freedoms + np.arange(3)[:, None] * topology.n_rfes + np.flatnonzero(topology.slender_rfes)
     return places.reshape(-1).tolist()
 
@@ -294,7 +294,6 @@ def equilibrium(
     scaled = _scaled(model, actual)
     if topology.idle:
         held = {**{k: start_values(model).joints[k] for k in topology.idle}, **held}
-    # Displacements in slender links follow from rotations: their unknowns stay zero.
     given = np.array([*held, *_dependent(topology)], int)
     undeformed = scaled.unknowns(start_values(model), jnp.zeros(topology.n_constraints))
 
