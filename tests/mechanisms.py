@@ -78,6 +78,26 @@ def with_stations(mechanism, **stations):
     return dataclasses.replace(mechanism, links=tuple(links))
 
 
+def slender(mechanism, *names):
+    """The mechanism whose flexible links, or those of given names, neither stretch nor shear."""
+    chosen = names or [one.name for one in mechanism.links if one.flexible]
+    links = [
+        dataclasses.replace(one, flexibility=("bending", "torsion")) if one.name in chosen else one
+        for one in mechanism.links
+    ]
+    return dataclasses.replace(mechanism, links=tuple(links))
+
+
+def slender_four_bar():
+    """The four-bar with links that neither stretch nor shear, the rocker tapered."""
+    return slender(tapered_four_bar())
+
+
+def slender_six_bar():
+    """Two loops in which links with and without axial and shear coordinates follow each other."""
+    return slender(two_loop_six_bar(), "rocker", "arm")
+
+
 def tapered_four_bar(**more):
     """The four-bar with a rigid tapered crank, a coupler that gets thinner, and a rocker with a step."""
     thin = Rectangle(0.006, 0.008)

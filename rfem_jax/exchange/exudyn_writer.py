@@ -63,6 +63,11 @@ def exudyn_text(study: Study, case: str | None, source: str) -> str:
     if int(start.status) != OK:
         reason = STATUS[int(start.status)].message
         raise InputError(f"The mechanism must be assembled to be exported, but is not: {reason}")
+    if made.model.topology.slender:
+        raise InputError(
+            "A script for Exudyn must do without links that neither stretch nor shear, but the study has some; leave "
+            "`flexibility` out."
+        )
     if start.actual.bent is not None:
         raise InputError(
             "A script for Exudyn must do without temperature gradients, which bend links without load, but the study "

@@ -86,6 +86,8 @@ def link_rows(mechanism: Mechanism) -> list[list[str]]:
             shape += f"; axis through {len(link.axis) + 1} points"
         if link.form_errors:
             shape += "; may be bowed"
+        if link.slender:
+            shape += "; neither stretches nor shears"
         rows.append([link.name, f"{link.length:.6g}", f"{link.mass:.6g}", rfes, points, shape])
     return rows
 

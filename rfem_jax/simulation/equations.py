@@ -21,6 +21,7 @@ from rfem_jax.mechanics.forces.element_loads import FrameLoads
 from rfem_jax.mechanics.forces.joint_forces import LawForces, rate_about_axis
 from rfem_jax.mechanics.implicit.condensation import LinkOperator
 from rfem_jax.mechanics.kinematics.motion import Motion
+from rfem_jax.mechanics.kinematics.slender_links import completed_state
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.model.model import Coordinates, Model, State, Topology
 from rfem_jax.mechanics.model.orientations import position_rate
@@ -76,6 +77,7 @@ def at_instant(
     actual = conditions.actual
     drive = conditions.drives.at(t, conditions.phase)
     state = impose(actual.topology, State(trajectory.position, trajectory.velocity), drive)
+    state = completed_state(actual, state)
     result = accelerations(actual, state, drive, conditions.stabilisation)
     return state, drive, result, loads.joint_loads(actual, result, drive)
 

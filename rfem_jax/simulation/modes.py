@@ -29,9 +29,10 @@ from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.implicit.residual import evaluate_residual
+from rfem_jax.mechanics.kinematics.slender_links import with_displacements
 from rfem_jax.mechanics.model.errors import AssemblyErrors, Errors, errors_of
 from rfem_jax.mechanics.model.inputs import DriveInput
-from rfem_jax.mechanics.model.model import Coordinates, Model, State
+from rfem_jax.mechanics.model.model import Coordinates, Model, State, Topology
 from rfem_jax.mechanics.model.orientations import moved
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors, apply_errors
 from rfem_jax.mechanics.statics.assembly import checked_hold, equilibrium, held_angles, length_scale
@@ -106,7 +107,8 @@ def _natural(model: Model, errors: AssemblyErrors, hold: dict[str, Array] | str 
     actual, topology = apply_errors(model, errors), model.topology
     held = held_angles(model, hold)
     position, multipliers, status = equilibrium(model, actual, held)
-    matrices = linearised(actual, position, multipliers, length_scale(model))
+    chosen = _coordinates(topology)
+    matrices = among(linearised(actual, position, multipliers, length_scale(model)), chosen)
     fixed = (*(held if locked else ()), *topology.idle)
     unit = np.eye(matrices.mass.shape[0])[list(dict.fromkeys(fixed))]
     constraints = jnp.concatenate([matrices.constraints, jnp.asarray(unit)])
@@ -120,12 +122,37 @@ def _natural(model: Model, errors: AssemblyErrors, hold: dict[str, Array] | str 
         square=square,
         damping=jnp.where(rate > 0.0, of_dampers / jnp.where(rate > 0.0, 2.0 * rate, 1.0), 0.0),
         joints=vectors[:, :freedoms],
-        elastic=vectors[:, freedoms:].reshape((count, 6, topology.n_rfes)),
+        elastic=_elastic_shapes(actual, position, vectors, chosen),
         separation=separation,
         asymmetry=matrices.asymmetry,
         position=position,
         status=status,
     )
+
+
+def _coordinates(topology: Topology) -> np.ndarray | None:
+    """Places of the coordinates without displacements in slender links, which follow from angles; None without."""
+    if not topology.slender:
+        return None
+    dependent = np.concatenate([np.tile(topology.slender_rfes, (3, 1)), np.zeros((3, topology.n_rfes), bool)])
+    return np.flatnonzero(np.append(np.zeros(topology.n_freedoms, bool), dependent.reshape(-1)) == 0)
+
+
+def _elastic_shapes(
+    actual: ModelWithErrors, position: Coordinates, vectors: Array, chosen: np.ndarray | None
+) -> Float[Array, "modes 6 rfes"]:
+    """The part of modes that is of rfes."""
+    topology, freedoms = actual.topology, actual.topology.n_freedoms
+    if chosen is None:
+        return vectors[:, freedoms:].reshape((len(vectors), 6, topology.n_rfes))
+    onto = np.eye(freedoms + 6 * topology.n_rfes)[chosen][:, freedoms:]
+
+    def displaced(vector):
+        change = (vector @ onto).reshape(position.elastic.shape)
+        still = jnp.zeros_like(position.joints)
+        return jax.jvp(lambda p: with_displacements(actual, p), (position,), (Coordinates(still, change),))[1].elastic
+
+    return jax.vmap(displaced)(vectors)
 
 
 class Linearised(NamedTuple):
@@ -177,6 +204,15 @@ def linearised(
     return Linearised(
         0.5 * (mass + mass.T), 0.5 * (damping + damping.T), symmetric, rows[np.flatnonzero(~sprung)], asymmetry
     )
+
+
+def among(matrices: Linearised, chosen: np.ndarray | None) -> Linearised:
+    """Matrices of some of the coordinates; None: all."""
+    if chosen is None:
+        return matrices
+    square = np.ix_(chosen, chosen)
+    mass, damping, stiffness = (one[square] for one in (matrices.mass, matrices.damping, matrices.stiffness))
+    return Linearised(mass, damping, stiffness, matrices.constraints[:, chosen], matrices.asymmetry)
 
 
 def _lowest(

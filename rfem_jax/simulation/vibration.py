@@ -99,7 +99,11 @@ class Vibration:
         self.gravity = np.asarray(model.gravity)
         self.mass, self.inverse_root = mass_matrices(constants, self.geometry.scale)
         self.size = 6 * len(constants.mass)
-        stretch = deformation_rates(constants, self.topology) @ self.inverse_root
+        deformed = deformation_rates(constants, self.topology)
+        stretch = deformed @ self.inverse_root
+        # Rates of stretching and shearing of slender links, over the longest link, which are none.
+        kept = np.repeat(self.topology.slender_rfes, 6) & (np.arange(6 * self.topology.n_rfes) % 6 < 3)
+        self.undeformed = deformed[np.flatnonzero(kept)] / self.geometry.scale
         springs, roots = spring_matrices(constants)
         damping = np.repeat(constants.damping, 6)
         self.rates = np.unique(constants.damping)
@@ -434,6 +438,8 @@ class Vibration:
         matrix = sparse.csr_matrix(entries, shape=(count, self.size))
         others = [k for k in self.held if not topology.about_hinge(k)]
         more = [self._coordinate_rates(placed, others)] if others else []
+        if self.topology.slender:
+            more.append(self.undeformed)
         for law in self.ideal:
             slope = float(law.transmitted(jnp.asarray(placed.joints[law.places[0]]))[1])
             more.append(np.array([[-slope, 1.0]]) @ self._coordinate_rates(placed, law.coordinates))

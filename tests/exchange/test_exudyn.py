@@ -93,6 +93,11 @@ def test_what_is_not_translated_is_refused():
     ]
     with pytest.raises(InputError, match="without temperature gradients"):
         exudyn_text(replace(one, mechanism=replace(one.mechanism, links=links)), None, "x")
+    thin = [
+        replace(link, flexibility=["bending", "torsion"]) if link.flexible else link for link in one.mechanism.links
+    ]
+    with pytest.raises(InputError, match="neither stretch nor shear"):
+        exudyn_text(replace(one, mechanism=replace(one.mechanism, links=thin)), None, "x")
 
 
 def test_a_tapered_link_is_what_its_stations_say():

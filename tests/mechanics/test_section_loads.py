@@ -19,7 +19,7 @@ from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.simulation.observation import solved_instant
 from tests.mechanics.test_formulations import close
-from tests.mechanisms import random_state, some_errors, two_loop_six_bar, with_stations
+from tests.mechanisms import random_state, slender, some_errors, two_loop_six_bar, with_stations
 
 LINKS = {"rocker": 4, "arm": 3, "output": 1}  # with their rfes
 STEP = 1e-10  # m
@@ -71,10 +71,14 @@ def along(shape, name, x):
     return BAR_MASS * width * height, BAR_MASS * np.array([y + z, y, z])
 
 
-@pytest.fixture(scope="module", params=STATIONS)
+@pytest.fixture(scope="module", params=[*STATIONS, "slender"])
 def moving(request):
     """The model, and of one random closed state: errors applied, the solved instant, and all section loads."""
-    model = discretise(with_stations(six_bar(), **STATIONS[request.param]), elements="geometrically_exact")
+    shape = "tapered" if request.param == "slender" else request.param
+    mechanism = with_stations(six_bar(), **STATIONS[shape])
+    if request.param == "slender":
+        mechanism = slender(mechanism)
+    model = discretise(mechanism, elements="geometrically_exact")
     rng = np.random.default_rng(3)
     errors, state = some_errors(model, rng), random_state(model, rng, 0.3)
     # Joints at the ends of links stay at these.
@@ -95,7 +99,7 @@ def moving(request):
         sections = {name: loads_of_sections(model, actual, state, now, l) for name, l in names.items()}
         return actual, now, inertial, frames, sections
 
-    return model, kernel(solved)(errors, state), request.param
+    return model, kernel(solved)(errors, state), shape
 
 
 def wrench(moment, force, place):

@@ -56,6 +56,8 @@ MOST_RFES = 1000
 _USUAL_RFES = 5
 SAME_LENGTH = 1e-9  # of the length that a copy of a link with an axis has
 GRADIENTS = ("temperature_gradient_y", "temperature_gradient_z")
+FLEXIBILITIES = ("axial", "shear", "bending", "torsion")
+_SLENDER = frozenset(("bending", "torsion"))
 
 
 @dataclass(frozen=True)
@@ -123,6 +125,7 @@ class Link(NumberTree, ChecksItself):
             frame; (): the axis is x.
         smooth: True makes the axis the smooth curve through all points.
         form_errors: True gives a straight link with a section errors of form, its bow.
+        flexibility: how a flexible link gives way, ["bending", "torsion"] or all four with "axial" and "shear" (None).
     Raises:
         InputError: a value is out of range or of the wrong kind.
     """
@@ -143,6 +146,7 @@ class Link(NumberTree, ChecksItself):
     axis: tuple[AxisPoint, ...] = ()
     smooth: bool = False
     form_errors: bool = False
+    flexibility: tuple[str, ...] | None = None
 
     numbers: ClassVar[Fields] = {
         "temperature": ("temperature", ANY),
@@ -179,6 +183,9 @@ class Link(NumberTree, ChecksItself):
         for name in GRADIENTS:
             checks.relation(("rigid", "rfes", "axis", name), self._check_bends, name, of)
         checks.relation(("axis", "smooth", "body", "form_errors"), self._check_forms, of)
+        if self.flexibility is not None:
+            checks.convert("flexibility", _flexibility, of)
+            checks.relation(("rigid", "rfes", "body", "flexibility"), self._check_flexible, of)
         checks.convert("point_masses", _masses, of)
         checks.convert("stations", require_stations, of)
         checks.relation(("length", "section", "body", "stations"), self._check_stations, of)
@@ -247,6 +254,13 @@ class Link(NumberTree, ChecksItself):
                 "or a body, but was True; leave it out."
             )
 
+    def _check_flexible(self, of: str) -> None:
+        if self.flexibility is not None and not self.flexible:
+            raise InputError(
+                f"Argument `flexibility` {of} must be left out where the link is rigid, but was "
+                f"{list(self.flexibility)!r}; make the link flexible, or leave it out."
+            )
+
     def _check_stations(self, of: str) -> None:
         if not self.stations:
             return
@@ -299,6 +313,11 @@ class Link(NumberTree, ChecksItself):
     def flexible(self) -> bool:
         """True if the link has spring-damping elements (two rfes or more)."""
         return self.elements > 1
+
+    @property
+    def slender(self) -> bool:
+        """True if the segments of a flexible link neither stretch nor shear."""
+        return self.flexibility is not None and set(self.flexibility) == _SLENDER
 
     @property
     def properties(self) -> SectionProperties:
@@ -365,6 +384,17 @@ def _number_of_rfes(rfes: Any, of: str) -> int:
             "error falls with its square."
         )
     return int(rfes)
+
+
+def _flexibility(given: Any, of: str) -> tuple[str, ...]:
+    """Words of `FLEXIBILITIES`, all of them or those of a link whose segments neither stretch nor shear."""
+    words = tuple(map(str, given)) if isinstance(given, (list, tuple)) else ()
+    if len(set(words)) != len(words) or set(words) not in (set(FLEXIBILITIES), _SLENDER):
+        raise InputError(
+            f'Argument `flexibility` {of} must be ["bending", "torsion"] or all of {list(FLEXIBILITIES)}, but was '
+            f"{short(given)}; leave it out for all."
+        )
+    return words
 
 
 def _masses(given: Any, of: str) -> tuple[PointMass, ...]:

@@ -25,6 +25,17 @@ from jaxtyping import Float
 
 from rfem_jax.mechanics.algebra import vectors
 from rfem_jax.mechanics.algebra.vectors import Scalar, apply, apply_transposed, cross, dot, product
+from rfem_jax.mechanics.dynamics.slender_chains import (
+    Chain,
+    Eliminated,
+    chain_of,
+    chain_wrench,
+    classical,
+    inboard,
+    on_interface,
+    outboard,
+    spatial_bodies,
+)
 from rfem_jax.mechanics.elements.elasticity import elastic_loads
 from rfem_jax.mechanics.forces.element_loads import FrameLoads, frame_loads
 from rfem_jax.mechanics.forces.friction import cut_friction, node_wrenches, tree_friction, with_friction
@@ -61,7 +72,7 @@ class Accelerations(NamedTuple):
     reference points in link axes; spatial (6, L): accelerations of the links at their islands' points;
     motion, closure, interface_tree: what they were computed from; dissipated [W]: power that the dampers
     dissipate; laws: forces of springs and laws along joint coordinates, None without any; frame_loads: what force
-    elements exert, likewise.
+    elements exert, likewise; chain_wrenches: by slender link what its rfe 0 exerts on the next rfe, at its point.
     """
 
     coordinates: Coordinates
@@ -76,6 +87,7 @@ class Accelerations(NamedTuple):
     dissipated: Float[Array, ""]
     laws: LawForces | None
     frame_loads: FrameLoads | None = None
+    chain_wrenches: dict[int, Float[Array, "6"]] = {}  # noqa: RUF012 - never changed
 
 
 @jax.jit  # traced once for all its places
@@ -96,14 +108,16 @@ def accelerations(
     free = (force, moment) if at_nodes is None else _with_elements(topology, at_nodes, force, moment)
     angular, linear = _free_accelerations(actual, motion, spin, gravity, *free)
     tree = _interface_tree(actual, state, motion, (force, moment), at_nodes)
+    chains = {l: chain_of(actual, motion, l, tree.point[:, l], free) for l in topology.slender}
     laws = law_forces(actual, state)
     if actual.friction is not None:
         found = tree_friction(actual, state, motion, None) | cut_friction(actual, motion, cuts, None)
         laws = with_friction(actual, laws, found)
         tree = _with_cut_forces(topology, cuts, tree, laws)
+    in_cuts = node_wrenches(topology, cuts, None if laws is None else laws.cuts) if chains else {}
     forces = applied_forces(topology, state.position, drive, laws)
-    columns, along = _load_columns(topology, cuts, tree), _along_joints(topology, cuts)
-    responses, rates = _articulated_bodies(topology, tree, columns, drive, forces, along)
+    columns, along = _load_columns(topology, cuts, tree, in_cuts), _along_joints(topology, cuts)
+    responses, rates, swept = _articulated_bodies(topology, tree, chains, columns, drive, forces, along)
     responses |= _cut_rfe_responses(actual, motion, cuts, angular, linear, laws)
     of_joints = sum((along[k][1:, None] * rates[k][None] for k in along), start=0.0)
     multipliers, stabilising = _multipliers(topology, cuts, motion, tree, responses, of_joints, stabilisation)
@@ -111,6 +125,12 @@ def accelerations(
     weights = jnp.concatenate([jnp.ones((1,)), multipliers])
     solved = {node: _combine(columns, weights) for node, columns in responses.items()}
     angular, linear = _with_interfaces(topology, motion, solved, angular, linear)
+    for l, chain in chains.items():
+        (a, b), spatial = topology.ranges[l], _combine(jnp.moveaxis(swept[l][1], 0, 2), weights[:, None])
+        found = classical(motion, chain, l, spatial)
+        angular, linear = (
+            jnp.concatenate([one[:, :a], new, one[:, b:]], axis=1) for one, new in zip((angular, linear), found)
+        )
     spatial = jnp.stack([solved[l] for l in range(topology.n_links)], axis=1)
     root_angular, root_linear = _link_accelerations(topology, motion, tree, spatial)
     elastic = _elastic_accelerations(topology, motion, inverse_rate, spin, root_angular, root_linear, angular, linear)
@@ -128,6 +148,7 @@ def accelerations(
         dissipated=total_dissipated(dissipated, laws, at_nodes, cuts),
         laws=laws,
         frame_loads=at_nodes,
+        chain_wrenches={l: chain_wrench(chains[l], swept[l][0], spatial[:, l], weights) for l in chains},
     )
 
 
@@ -174,15 +195,15 @@ def _free_accelerations(
 
 
 def _branching(topology: Topology) -> tuple[int, ...]:
-    """Nodes of the free rfes with links outboard."""
+    """Nodes of the free rfes with links outboard, but in slender links."""
     parents = {node for node in topology.parents[: topology.n_links] if node >= topology.n_links}
-    return tuple(sorted(parents))
+    return tuple(sorted(node for node in parents if not topology.is_slender(node)))
 
 
 def _cut_rfes(topology: Topology) -> tuple[int, ...]:
-    """Nodes of the free rfes that carry cut joints only."""
+    """Nodes of the free rfes that carry cut joints only, but in slender links."""
     sides = topology.parents[topology.n_links :] + topology.children[topology.n_links :]
-    nodes = {node for node in sides if node >= topology.n_links}
+    nodes = {node for node in sides if node >= topology.n_links and not topology.is_slender(node)}
     return tuple(sorted(nodes - set(_branching(topology))))
 
 
@@ -223,14 +244,7 @@ def _interface_tree(
             apply(link_rotation, applied_moment), apply(link_rotation, applied_force), where - point
         )
 
-        indices = np.array(nodes)
-        centre = where - point + apply(rotation, actual.centre[:, indices])
-        inertia = vectors.product_transposed(product(rotation, actual.inertia[:, :, indices]), rotation)
-        mass = jnp.broadcast_to(actual.mass[indices], inertia.shape[2:])
-        inertia = vectors.spatial_inertia(mass, centre, inertia)
-        gravity = vectors.scaled(mass, actual.gravity[:, None])
-        weight = vectors.wrench_at_origin(jnp.zeros_like(gravity), gravity, centre)
-        gyroscopic = vectors.force_cross(velocity, apply(inertia, velocity))
+        inertia, weight, gyroscopic = spatial_bodies(actual, np.array(nodes), rotation, where - point, velocity)
         at_joints = by_freedom(topology, point[:, :n])
         axis, axis_velocity = _shifted(motion.axis, at_joints), _shifted(motion.axis_velocity, at_joints)
         return InterfaceTree(
@@ -266,9 +280,11 @@ def _shifted(motion: Array, point: Array) -> Array:
     return vectors.spatial(motion[:3], motion[3:] + cross(motion[:3], point))
 
 
-def _load_columns(topology: Topology, cuts: Closure | None, tree: InterfaceTree) -> dict[int, Array]:
+def _load_columns(
+    topology: Topology, cuts: Closure | None, tree: InterfaceTree, in_cuts: dict[int, Array]
+) -> dict[int, Array]:
     """Columns (6, K) of loads on the bodies of the reduced tree: the applied loads, then, in islands that a
-    cut joint acts on, unit multipliers."""
+    cut joint acts on, unit multipliers; on interfaces of slender links those of cut joints alone, with `in_cuts`."""
     sides = topology.parents[topology.n_links :] + topology.children[topology.n_links :]
     closed = {topology.island_of(node) for node in sides if node != BASE}
     closed |= {topology.island_of(topology.link_of_freedom[k]) for k in _along_joints(topology, cuts)}
@@ -278,6 +294,12 @@ def _load_columns(topology: Topology, cuts: Closure | None, tree: InterfaceTree)
         if cuts is not None and topology.island_of(node) in closed:
             unit = unit_columns(topology, cuts, node, tree.point[:, i])
             loads[node] = jnp.concatenate([loads[node], unit], axis=1)
+    for node in (topology.n_links + k for k in topology.interfaces if topology.is_slender(topology.n_links + k)):
+        point = tree.point[:, topology.link_of(node)]
+        load = _wrench_at(in_cuts[node], point) if node in in_cuts else jnp.zeros(6)
+        loads[node] = load[:, None]
+        if cuts is not None and topology.island_of(node) in closed:
+            loads[node] = jnp.concatenate([loads[node], unit_columns(topology, cuts, node, point)], axis=1)
     return loads
 
 
@@ -294,24 +316,30 @@ def _along_joints(topology: Topology, cuts: Closure | None) -> dict[int, Float[A
 def _articulated_bodies(
     topology: Topology,
     tree: InterfaceTree,
+    chains: dict[int, Chain],
     loads: dict[int, Array],
     drive: DriveInput,
     forces: dict[int, Array],
     along: dict[int, Array],
-) -> tuple[dict[int, Array], list[Array]]:
+) -> tuple[dict[int, Array], list[Array], dict[int, tuple[Eliminated, Array]]]:
     """Featherstone's articulated-body algorithm for K columns of loads at once: accelerations (6, K) of the
-    bodies and (K,) of the joint coordinates; `forces`: along joint coordinates; `along`: as of `_along_joints`.
+    bodies and (K,) of the joint coordinates, and of chains what remains of them with accelerations (m, 6, K) of their
+    rfes; `forces`: along joint coordinates; `along`: as of `_along_joints`.
 
     The coordinates of a joint are eliminated one after another, as if bodies without mass were between them, which
     is the Cholesky factorisation of the joint's own matrix (theory (4.10)).
     """
     with jax.named_scope("articulated_bodies"):
-        inertias = {node: tree.inertia[:, :, i] for i, node in enumerate(loads)}
-        loads, steps, accelerations = dict(loads), {}, {}
+        columns = tree.inertia.shape[2]
+        inertias = {node: tree.inertia[:, :, i] for i, node in enumerate(loads) if i < columns}
+        loads, steps, accelerations, remaining = dict(loads), {}, {}, {}
         for l in reversed(range(topology.n_links)):
             node, inertia, load = topology.parents[l], inertias[l], loads[l]
             # Bias accelerations and drives belong to the applied loads, not to the unit multipliers.
             first = jnp.asarray(np.eye(1, load.shape[1])[0])
+            if l in chains:
+                remaining[l], more, passed = inboard(chains[l], inertias, loads, first)
+                inertia, load = inertia + more, load + passed
             for k in reversed(topology.coordinates[l]):
                 axis, bias = tree.axis[:, k], tree.bias[:, k]
                 if k in drive.motions:
@@ -332,23 +360,41 @@ def _articulated_bodies(
                 inertia = inertia - u[:, None] * by_inertia[None]
                 load = load - apply(inertia, bias)[:, None] * first[None] - by_inertia[:, None] * torque[None]
             if node != BASE:
-                inertias[node] = inertias[node] + inertia
+                inertias[node] = inertias[node] + inertia if node in inertias else inertia
                 loads[node] = loads[node] + load
         for node in _branching(topology):
             inverse = vectors.invert_positive(inertias[node])
             accelerations[node] = product(inverse, loads[node])
-        rates = []
-        for l in range(topology.n_links):
-            acceleration = accelerations.get(topology.parents[l])
-            for k in topology.coordinates[l]:
-                axis, given, rate, by_inertia = steps[k]
-                acceleration = given if acceleration is None else given + acceleration
-                if by_inertia is not None:
-                    rate = rate - dot(by_inertia[:, None], acceleration)
-                    acceleration = acceleration + axis[:, None] * rate[None]
-                rates.append(rate)
-            accelerations[l] = jnp.zeros_like(loads[l]) if acceleration is None else acceleration
-        return accelerations, rates
+        return _outward(topology, chains, remaining, loads, steps, accelerations)
+
+
+def _outward(
+    topology: Topology,
+    chains: dict[int, Chain],
+    remaining: dict[int, Eliminated],
+    loads: dict[int, Array],
+    steps: dict[int, tuple[Array, Array, Array, Array | None]],
+    accelerations: dict[int, Array],
+) -> tuple[dict[int, Array], list[Array], dict[int, tuple[Eliminated, Array]]]:
+    """The results of `_articulated_bodies` from the base to the tips, from what the sweep to the base left;
+    `accelerations`: of bodies that nothing holds."""
+    rates, swept = [], {}
+    for l in range(topology.n_links):
+        acceleration = accelerations.get(topology.parents[l])
+        for k in topology.coordinates[l]:
+            axis, given, rate, by_inertia = steps[k]
+            acceleration = given if acceleration is None else given + acceleration
+            if by_inertia is not None:
+                rate = rate - dot(by_inertia[:, None], acceleration)
+                acceleration = acceleration + axis[:, None] * rate[None]
+            rates.append(rate)
+        accelerations[l] = jnp.zeros_like(loads[l]) if acceleration is None else acceleration
+        if l in chains:
+            first = jnp.asarray(np.eye(1, loads[l].shape[1])[0])
+            swept[l] = remaining[l], outboard(chains[l], remaining[l], accelerations[l], first)
+            for node, place in chains[l].interfaces.items():
+                accelerations[node] = on_interface(chains[l], place, swept[l][1])
+    return accelerations, rates, swept
 
 
 def _cut_rfe_responses(
@@ -439,6 +485,8 @@ def _points_of(topology: Topology, motion: Motion, tree: InterfaceTree) -> dict[
     """The point at which each node's response is given."""
     nodes = (*range(topology.n_links), *_branching(topology))
     points = {node: tree.point[:, i] for i, node in enumerate(nodes)}
+    for node in (topology.n_links + k for k in topology.interfaces if topology.is_slender(topology.n_links + k)):
+        points[node] = tree.point[:, topology.link_of(node)]
     for i, k in enumerate(topology.interfaces):
         points.setdefault(topology.n_links + k, motion.interfaces.point[:, i])
     return points
@@ -455,7 +503,7 @@ def _with_interfaces(
     """Accelerations (3, N) of the free rfes in link axes, those of the interfaces put in."""
     n = topology.n_links
     for i, k in enumerate(topology.interfaces):
-        if n + k not in solved:  # it carries no joint
+        if n + k not in solved or topology.is_slender(n + k):  # it carries no joint, or is of a chain
             continue
         velocity, where = motion.interfaces.velocity[:, i], motion.interfaces.point[:, i]
         of_link = motion.links.rotation[:, :, topology.link_of(n + k)]

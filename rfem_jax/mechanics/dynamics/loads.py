@@ -108,6 +108,8 @@ def joint_loads(actual: ModelWithErrors, result: Accelerations, drive: DriveInpu
         for l in reversed(range(n)):
             # W_l = I_l A_l - p_l + W_j of joints with parent l - W_c of cut joints with child l (theory (8.4)).
             wrench, point = net[:, l], tree.point[:, l]
+            if l in result.chain_wrenches:
+                wrench = wrench + result.chain_wrenches[l]
             for j in range(l + 1, n):
                 if topology.parents[j] == l:
                     wrench = wrench + wrenches[j]

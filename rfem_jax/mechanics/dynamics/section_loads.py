@@ -9,7 +9,7 @@ rfe's left (theory (8.10)). They are what the part with the larger x exerts on t
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +19,7 @@ from jaxtyping import Float
 
 from rfem_jax.mechanics.algebra import vectors
 from rfem_jax.mechanics.algebra.vectors import apply, apply_transposed, cross, product, product_transposed
+from rfem_jax.mechanics.dynamics.slender_forces import Moving, constraint_forces
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.forces.element_loads import FrameLoads
 from rfem_jax.mechanics.forces.shaped_lines import shaped_line
@@ -40,23 +41,6 @@ class SectionLoads(NamedTuple):
 
     place: Float[Array, " sections"]
     resultants: Float[Array, "6 sections"]
-
-
-@runtime_checkable
-class Moving(Protocol):
-    """A mechanism at one instant: motion, accelerations (3, nodes) of the nodes in link axes, wrenches of all joints at
-    the global origin, and forces of the elements."""
-
-    @property
-    def motion(self) -> Motion: ...
-    @property
-    def angular(self) -> Float[Array, "3 nodes"]: ...
-    @property
-    def linear(self) -> Float[Array, "3 nodes"]: ...
-    @property
-    def wrenches(self) -> list[Float[Array, "6"]]: ...
-    @property
-    def frame_loads(self) -> FrameLoads | None: ...
 
 
 class _Bodies(NamedTuple):
@@ -93,7 +77,8 @@ def loads_of_sections(model: Model, actual: ModelWithErrors, state: State, now: 
         sections += _at_stations(model, actual, link)
         parts = []
         if n > 1:
-            at_sdes = elasticity.section_loads(actual, state, now.motion.relative)[:, first : first + n - 1]
+            at_sdes = elasticity.section_loads(actual, state, now.motion.relative, constraint_forces(actual, now))
+            at_sdes = at_sdes[:, first : first + n - 1]
             if actual.form is not None:
                 axes = actual.form.axes[:, :, first : first + n - 1]
                 at_sdes = jnp.concatenate([apply_transposed(axes, at_sdes[:3]), apply_transposed(axes, at_sdes[3:])])
@@ -350,7 +335,7 @@ def _reference_loads(
         return jnp.zeros((6, len(rfes)))
     first, _ = topology.ranges[link]
     axes = now.motion.links.rotation[:, :, link, None]
-    force, moment = elasticity.wrenches_of_left(actual, state, now.motion.relative)
+    force, moment = elasticity.wrenches_of_left(actual, state, now.motion.relative, constraint_forces(actual, now))
     zero, columns = jnp.zeros(6), []
     elastic = vectors.wrench_at_origin(
         apply(axes, moment[:, first : first + n - 1]), apply(axes, force[:, first : first + n - 1]), bodies.point[:, 1:]

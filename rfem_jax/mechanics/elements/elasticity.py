@@ -21,7 +21,7 @@ from jax import Array
 from jaxtyping import Float
 
 from rfem_jax.mechanics.algebra.reordering import reorder
-from rfem_jax.mechanics.algebra.vectors import apply_transposed, cross, invert_block
+from rfem_jax.mechanics.algebra.vectors import apply_transposed, cross, invert_block, product
 from rfem_jax.mechanics.elements import exact_elements
 from rfem_jax.mechanics.elements.exact_elements import (
     SpringBlocks,
@@ -91,25 +91,34 @@ def deflections(actual: ModelWithErrors, state: State) -> tuple[Float[Array, "6 
     return deflected.stretch, deflected.rate
 
 
-def section_loads(actual: ModelWithErrors, state: State, relative: RelativeMotion) -> Float[Array, "6 rfes"]:
+def section_loads(
+    actual: ModelWithErrors, state: State, relative: RelativeMotion, carried: Array | None = None
+) -> Float[Array, "6 rfes"]:
     """Force [N] and moment [N m] that the right side of every sde exerts on its left one, in the element's own axes
-    (linear elements: those of the link)."""
+    (linear elements: those of the link); `carried` (3, N) [N]: as of `constraint_forces`."""
     if actual.topology.exact:
         deflected = exact_elements.deflections(actual, state.position.elastic[:3], relative)
-        return exact_elements.section_loads(actual, deflected)
-    stretch, rate = _linear_deflections(actual, state)
-    return stress_of(actual, stretch + actual.damping[None] * rate)
+        loads = exact_elements.section_loads(actual, deflected)
+        carried = None if carried is None else product(deflected.midway, carried[:, None])[:, 0]
+    else:
+        stretch, rate = _linear_deflections(actual, state)
+        loads = stress_of(actual, stretch + actual.damping[None] * rate)
+    return loads if carried is None else loads - jnp.concatenate([carried, jnp.zeros_like(carried)])
 
 
 def wrenches_of_left(
-    actual: ModelWithErrors, state: State, relative: RelativeMotion
+    actual: ModelWithErrors, state: State, relative: RelativeMotion, carried: Array | None = None
 ) -> tuple[Float[Array, "3 rfes"], Float[Array, "3 rfes"]]:
-    """Force [N] and moment [N m] that the sde on the left of every free rfe exerts on its middle, in link axes."""
+    """Force [N] and moment [N m] that the sde on the left of every free rfe exerts on its middle, in link axes;
+    `carried` (3, N) [N]: as of `constraint_forces`."""
     if actual.topology.exact:
         deflected = exact_elements.deflections(actual, state.position.elastic[:3], relative)
         force, moments = exact_elements.on_both_rfes(actual, deflected)
-        return -force, moments[:, 0]
-    on_right = -_face_transposed(section_loads(actual, state, relative), actual.lever_right)
+        force, moment = -force, moments[:, 0]
+        if carried is None:
+            return force, moment
+        return force + carried, moment + cross(deflected.arms[:, 0], carried)
+    on_right = -_face_transposed(section_loads(actual, state, relative, carried), actual.lever_right)
     return on_right[:3], apply_transposed(invert_block(relative.rate_matrix), on_right[3:])
 
 

@@ -37,7 +37,8 @@ class LinearRange(NamedTuple):
 
 
 def linear_range(actual: ModelWithErrors, position: Coordinates) -> LinearRange:
-    """Terms that linear elements neglect at one position; zero with rigid links and geometrically exact elements."""
+    """Terms that linear elements neglect at one position; zero with rigid links and geometrically exact elements.
+    Slender links neglect no shortening, and their springs carry no axial force."""
     topology = actual.topology
     if topology.exact or not topology.n_rfes:
         return LinearRange(jnp.zeros(()), jnp.zeros((0,)), jnp.zeros((0,)))

@@ -22,7 +22,8 @@ from jax import Array
 from jaxtyping import Float
 
 from rfem_jax.mechanics.algebra import vectors
-from rfem_jax.mechanics.algebra.block_tridiagonal import solve
+from rfem_jax.mechanics.algebra.block_tridiagonal import Factored
+from rfem_jax.mechanics.algebra.constrained_chain import ConstrainedChain, positive_inverse, solve
 from rfem_jax.mechanics.algebra.vectors import (
     apply,
     apply_transposed,
@@ -44,7 +45,8 @@ from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 class Outboard(NamedTuple):
     """The links outboard of a link's c interfaces: their articulated inertias (6 c, 6 c), and transmissibility
-    (6 c, 6 c) = (stiffness + inertia)^-1 stiffness, by which these reduce the interfaces' accelerations."""
+    (6 c, 6 c) = (stiffness + inertia)^-1 stiffness, or (1 + compliance inertia)^-1, by which these reduce the
+    interfaces' accelerations."""
 
     inertia: Float[Array, "interfaces interfaces"]
     transmissibility: Float[Array, "interfaces interfaces"]
@@ -232,9 +234,22 @@ def _interface_operator(
     if not any(node in outboard for node in nodes):
         return InterfaceOperator(transfer, compliance, None)
     inertia = _block_diagonal([outboard.get(node) for node in nodes])
+    if operator.stiffness is None:
+        assert operator.interface_motions is not None, "slender links have them"
+        motions = _rotated(rotations, operator.interface_motions)
+        return InterfaceOperator(transfer, compliance, _of_slender(operator.factored, motions, inertia))
     stiffness = _congruent(_inverse_transposed(rotations), operator.stiffness)
     transmissibility = product(vectors.invert_positive(stiffness + inertia), stiffness)
     return InterfaceOperator(transfer, compliance, Outboard(inertia, transmissibility))
+
+
+def _of_slender(factored: Factored | ConstrainedChain, motions: Array, inertia: Array) -> Outboard:
+    """The links outboard of a slender link, whose interfaces move by `motions` alone (theory (7.24))."""
+    assert isinstance(factored, ConstrainedChain)
+    loaded = product(inertia, motions)
+    gain = positive_inverse(factored.matrix + transposed_product(motions, loaded))
+    reduced = product_transposed(product(motions, gain), loaded)
+    return Outboard(inertia, jnp.eye(len(reduced)) - reduced)
 
 
 def _block_diagonal(blocks: Sequence[Array | None]) -> Array:

@@ -32,10 +32,12 @@ from jax import Array
 from jaxtyping import Float
 
 from rfem_jax.mechanics.algebra import vectors
-from rfem_jax.mechanics.algebra.block_tridiagonal import Factored, factor, solve
+from rfem_jax.mechanics.algebra.block_tridiagonal import Factored, factor
+from rfem_jax.mechanics.algebra.constrained_chain import ConstrainedChain, factor_constrained, solve
 from rfem_jax.mechanics.algebra.vectors import apply, product, product_transposed
 from rfem_jax.mechanics.elements import elasticity, exact_elements
 from rfem_jax.mechanics.kinematics.motion import RelativeMotion
+from rfem_jax.mechanics.kinematics.slender_links import unit_rates
 from rfem_jax.mechanics.model.model import Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
@@ -49,15 +51,19 @@ class LinkOperator(NamedTuple):
     (M + s K)^-1 S, and its inverse, stiffness; rigid_response (6 m, 6): (M + s K)^-1 M X, minus the second
     derivatives of the coordinates due to unit accelerations of the frame; frame_to_interface (6 c, 6): its
     rows of the interfaces.
+
+    Of slender links (theory (7.23)) all this is on the motions that they have, for which compliance may be singular:
+    interface_motions (6 c, 3 m), those of the interfaces, take the place of the stiffness.
     """
 
-    factored: Factored
+    factored: Factored | ConstrainedChain
     inertia: Float[Array, "6 6"]
     frame_to_interface: Float[Array, "interfaces 6"]
     compliance: Float[Array, "interfaces interfaces"]
-    stiffness: Float[Array, "interfaces interfaces"]
+    stiffness: Float[Array, "interfaces interfaces"] | None
     interface_rows: Float[Array, "interfaces elastic"]
     rigid_response: Float[Array, "elastic 6"]
+    interface_motions: Float[Array, "interfaces free"] | None = None
 
 
 def local_interfaces(topology: Topology, link: int) -> tuple[int, ...]:
@@ -85,7 +91,8 @@ def _link_operators(actual, q_factor, v_factor):
         mass, coupling, rigid = bodies.of_link(topology, l)
         s = q_factor + actual.damping[a] * v_factor
         stiffness = mass + s * springs.diagonal[a:b], s * springs.lower[a:b]
-        return _condense(*stiffness, coupling, rigid, interfaces=local_interfaces(topology, l))
+        motions = unit_rates(actual, None, l) if l in topology.slender else None
+        return _condense(*stiffness, coupling, rigid, motions, interfaces=local_interfaces(topology, l))
 
     return tuple(operator(l, a, b) if b > a else None for l, (a, b) in enumerate(topology.ranges))
 
@@ -158,18 +165,25 @@ def present_operators(
         left = jnp.roll(t, 1, axis=0)
         lower = s * jnp.einsum("mji,mjk,mkl->mil", t, springs.lower[a:b], left)
         coupling = jnp.einsum("mji,mjk->mik", t, coupling)
-        return _condense(diagonal, lower, coupling, rigid, interfaces=local_interfaces(topology, l))
+        motions = unit_rates(actual, relative, l) if l in topology.slender else None
+        return _condense(diagonal, lower, coupling, rigid, motions, interfaces=local_interfaces(topology, l))
 
     return tuple(operator(l, a, b) if b > a else None for l, (a, b) in enumerate(topology.ranges))
 
 
 @functools.partial(jax.jit, static_argnames="interfaces")  # traced once for links of one shape
 def _condense(
-    diagonal: Array, lower: Array, coupling: Array, rigid: Array, *, interfaces: tuple[int, ...]
+    diagonal: Array,
+    lower: Array,
+    coupling: Array,
+    rigid: Array,
+    motions: Array | None,
+    *,
+    interfaces: tuple[int, ...],
 ) -> LinkOperator:
-    """The operator from the blocks (m, 6, 6) of M + s K on and below the diagonal, M X (m, 6, 6) and the rigid link's
-    inertia (6, 6)."""
-    factored = factor(diagonal, lower)
+    """The operator from the blocks (m, 6, 6) of M + s K on and below the diagonal, M X (m, 6, 6), the rigid link's
+    inertia (6, 6), and the motions (6 m, 3 m) of a slender link."""
+    factored = factor(diagonal, lower) if motions is None else factor_constrained(diagonal, lower, motions)
     m = coupling.shape[0]
     rows = np.array([k + m * c for k in interfaces for c in range(6)], dtype=int)
     unit = jnp.zeros((6, m, len(rows)))
@@ -184,7 +198,8 @@ def _condense(
         inertia=rigid - coupling.reshape(6 * m, 6).T @ rigid_response,
         frame_to_interface=rigid_response[rows],
         compliance=compliance,
-        stiffness=vectors.invert_positive(compliance),
+        stiffness=vectors.invert_positive(compliance) if motions is None else None,
         interface_rows=interface_rows,
         rigid_response=rigid_response,
+        interface_motions=None if motions is None else motions[rows],
     )

@@ -34,6 +34,7 @@ from rfem_jax.mechanics.forces.joint_forces import (
 from rfem_jax.mechanics.kinematics.cut_joints import Closure, closure, spring_residual
 from rfem_jax.mechanics.kinematics.motion import Motion, by_freedom, motion_of, spread
 from rfem_jax.mechanics.kinematics.self_stress import redundancy
+from rfem_jax.mechanics.kinematics.slender_links import completed, projected
 from rfem_jax.mechanics.model.inputs import DriveInput
 from rfem_jax.mechanics.model.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
@@ -138,6 +139,7 @@ def evaluate_residual(
         topology, n = actual.topology, actual.topology.n_links
         motion = motion_of(actual, state)
         cuts = closure(actual, motion, scale)
+        accelerations = completed(actual, motion.relative, accelerations)
         spatial = spatial_accelerations(actual, motion, state, accelerations)
         angular, linear = _node_accelerations(topology, motion, spatial, accelerations)
         at_nodes = frame_loads(actual, motion, drive.time)
@@ -156,11 +158,10 @@ def evaluate_residual(
         on_force, on_moment = _interface_loads(topology, motion, wrenches)
         moment = apply_transposed(motion.relative.rate_matrix, on_moment - inertial[1][:, n:])
         force = elastic[:3] + on_force - inertial[0][:, n:]
-        moment = elastic[3:] + moment
+        force, moment = projected(actual, motion.relative, force, elastic[3:] + moment)
         closing = closing_rate = closing_acceleration = jnp.zeros((0,))
         if cuts is not None:
-            closing = spring_residual(topology, cuts, multipliers, cuts.residual)
-            closing_rate = cuts.rate
+            closing, closing_rate = spring_residual(topology, cuts, multipliers, cuts.residual), cuts.rate
             closing_acceleration = cuts.bias + _closing_acceleration(topology, cuts, spatial, accelerations)
             closing_acceleration = spring_residual(topology, cuts, multipliers, closing_acceleration)
         return Evaluation(
@@ -198,6 +199,7 @@ def with_wrenches(
     motion, cuts = motion_of(actual, state), evaluation.closure
     later = None
     if ahead is not None:
+        accelerations = completed(actual, motion.relative, accelerations)
         later = Ahead(ahead, accelerations.joints, spatial_accelerations(actual, motion, state, accelerations))
     in_cuts = cut_friction(actual, motion, cuts, multipliers, later)
     in_tree = tree_friction(actual, state, evaluation.motion, wrenches, later)

@@ -24,6 +24,7 @@ from rfem_jax.mechanics.algebra import vectors
 from rfem_jax.mechanics.algebra.reordering import repeat, sum_groups
 from rfem_jax.mechanics.algebra.vectors import apply, columns, cross, product, scaled
 from rfem_jax.mechanics.kinematics.ideal_couplings import CouplingRows, coupling_rows
+from rfem_jax.mechanics.kinematics.slender_links import completed_state
 from rfem_jax.mechanics.model.model import BASE, Coordinates, State, Topology
 from rfem_jax.mechanics.model.orientations import rotation_of
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
@@ -111,6 +112,9 @@ def motion_of(actual: ModelWithErrors, state: State) -> Motion:
 def relative_motion(actual: ModelWithErrors, position: Coordinates, velocity: Coordinates) -> RelativeMotion:
     """Motion of the free rfes in their link frames (theory (2.7), (2.8), (2.10)): R = R_z R_y R_x for
     linear elements, R_y R_z R_x for exact ones, so that in-plane bending has no limit."""
+    if actual.topology.slender:
+        completed = completed_state(actual, State(position, velocity))
+        position, velocity = completed.position, completed.velocity
     u, phi = position.elastic[:3], position.elastic[3:]
     u_dot, rate = velocity.elastic[:3], velocity.elastic[3:]
     (cx, cy, cz), (sx, sy, sz) = jnp.cos(phi), jnp.sin(phi)

@@ -108,12 +108,25 @@ def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], 
         massless=tuple(i for i, link in enumerate(links) if link.mass == 0.0),
         ideal=tuple(one.name for one in ideal),
         stations=_stations(links, discretised) if any(link.stations for link in links) or shaped else (),
+        slender=tuple(i for i, link in enumerate(links) if discretised.elements[i] > 1 and link.slender),
         coupled=tuple(sorted({_coordinate(joints, *motion) for one in ideal for motion in one.coordinates})),
         shaped=shaped,
         curved=tuple(i for i, link in enumerate(links) if link.axis),
     )
     require_turned(links, mechanism.plane)
+    _require_one_of(topology)
     return PartStructure(topology, (*acted, *followed), any(any(mass.products) for _, mass in masses))
+
+
+def _require_one_of(topology: Topology) -> None:
+    """Raise InputError for links that neither stretch nor shear beside links with forms: the kinematics of the former
+    knows lever arms along the links alone."""
+    if topology.slender and topology.shaped:
+        names = ", ".join(f"`{topology.links[l]}`" for l in topology.slender)
+        raise InputError(
+            f"Argument `flexibility` of {names} must be left out in a mechanism in which a link has an axis, a bow or a "
+            'section that couples directions, but is ["bending", "torsion"]; leave it out.'
+        )
 
 
 def _stations(links: Sequence[Link], discretised: "_Links") -> tuple[tuple[int, ...], ...]:

@@ -123,6 +123,12 @@ def discretise(mechanism: Mechanism, rfes: int | Mapping[str, int] | None = None
             '"minimum_norm" in the table [mechanism] (an argument of `Mechanism`) to get the reactions of least norm.'
             + locks
         )
+    if structure.redundant and model.topology.slender:
+        names = ", ".join(f"`{model.topology.links[l]}`" for l in model.topology.slender)
+        raise InputError(
+            f"Argument `flexibility` of link {names} must be left out where reactions are not unique, but was given; "
+            "segments that stretch and shear share them."
+        )
     if structure.redundant:
         require_unique_normal_loads(model)
     if structure.redundant and structure.gap > RIGID_CLOSING_TOLERANCE * float(np.max(model.length)):
@@ -253,6 +259,7 @@ def describe(model: Model) -> Structure:
     rigid = closure_jacobian(geometry, placed)[:, own]
     of_all, of_rigid = rank(jacobian), rank(rigid)
     constraints, size = jacobian.shape
+    size -= 3 * int(np.sum(model.topology.slender_rfes))  # displacements that follow from angles
     return Structure(
         coordinates=size,
         constraints=constraints,

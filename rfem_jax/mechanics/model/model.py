@@ -26,7 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.core import Tracer
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from rfem_jax.compilation.naming import Names
 from rfem_jax.description.basics.errors import InputError
@@ -110,6 +110,7 @@ class Topology(NamedTuple):
     stations: of every link the rfes that hold its stations inside; () without any.
     shaped: whether links have forms (`form.Form`): their rfes are not on their x axes, or their sdes couple directions.
     curved: links with an axis of their own.
+    slender: flexible links whose segments neither stretch nor shear (`slender_links`).
     """
 
     links: tuple[str, ...]
@@ -144,6 +145,7 @@ class Topology(NamedTuple):
     stations: tuple[tuple[int, ...], ...] = ()
     shaped: bool = False
     curved: tuple[int, ...] = ()
+    slender: tuple[int, ...] = ()
 
     def renamed(self, names: Names) -> "Topology":
         """With other names."""
@@ -346,6 +348,11 @@ class Topology(NamedTuple):
         return np.repeat(np.arange(self.n_links), [n - 1 for n in self.elements])
 
     @property
+    def slender_rfes(self) -> Bool[np.ndarray, " rfes"]:
+        """Whether every free rfe is of a link whose segments neither stretch nor shear."""
+        return np.isin(self.link_of_rfe, self.slender)
+
+    @property
     def interfaces(self) -> tuple[int, ...]:
         """The free rfes that carry a joint or hold a force element (as rfes, not as nodes)."""
         nodes = self.parents + self.children[self.n_links :] + self.holders
@@ -361,10 +368,14 @@ class Topology(NamedTuple):
         return node if node < self.n_links else int(self.link_of_rfe[node - self.n_links])
 
     def island_of(self, node: int) -> int:
-        """The root of a node's island: an interface, or the link that is joined to the base."""
-        while node < self.n_links and self.parents[node] != BASE:
-            node = self.parents[node]
+        """The root of a node's island: an interface of a link that is not slender, or the link joined to the base."""
+        while (node < self.n_links and self.parents[node] != BASE) or self.is_slender(node):
+            node = self.parents[node] if node < self.n_links else self.link_of(node)
         return node
+
+    def is_slender(self, node: int) -> bool:
+        """Whether a node is a free rfe of a slender link."""
+        return node >= self.n_links and self.link_of(node) in self.slender
 
     def joint(self, name: str) -> int:
         """Index of a joint by its name."""

@@ -297,11 +297,31 @@ def closure_jacobian(
                 for k in topology.coordinates[link]:
                     block[:, k] += units[k] * (rows @ placed.twists[k])
                 node = topology.parents[link]
+    if topology.slender:
+        jacobian = jacobian @ _coordinate_rates(geometry)
     for row, law in zip(jacobian[stop:], geometry.couplings, strict=True):
         (first, second), of_second = law.coordinates, geometry.topology.slides[law.coordinates[1]]
         row[first] += units[first] * float(_coupling_gap(geometry, law, placed.joints)[1])
         row[second] += units[second] / (geometry.scale if of_second else 1.0)
     return jacobian
+
+
+def _coordinate_rates(geometry: NominalGeometry) -> Float[np.ndarray, "motions coordinates"]:
+    """Rates of all coordinates by those of the coordinates: displacements in slender links, over the longest link,
+    follow from angles (theory (1.28))."""
+    topology, freedoms = geometry.topology, geometry.topology.n_freedoms
+    rates = np.eye(freedoms + 6 * topology.n_rfes)
+    for l in topology.slender:
+        a, b = topology.ranges[l]
+        apart = geometry.rest[b - 1] / (b - a - 0.25)  # of the sdes, of which the first stands at half of it
+        for k in range(a, b):
+            u = freedoms + 6 * k + np.arange(3)
+            rates[u, u] = 0.0
+            for j in range(a, k + 1):
+                arm = apart if j < k else geometry.rest[k] - (k - a + 0.5) * apart
+                angles = freedoms + 6 * j + 3 + np.arange(3)
+                rates[np.ix_(u, angles)] = -cross_matrix(np.array([arm / geometry.scale, 0.0, 0.0]))
+    return rates
 
 
 def rank(matrix: Float[np.ndarray, "m n"]) -> int:

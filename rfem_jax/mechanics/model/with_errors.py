@@ -457,6 +457,8 @@ def _spring_damping_elements(model: Model, length: Array) -> dict[str, Any]:
     stiffness = _link_values(model.section.stiffness, link) * (count / extent)[None]
     if model.taper is not None:  # theory (1.17)
         stiffness = model.taper.stiffness * _link_values(model.length / length, link)[None]
+    if topology.slender:  # the forces that keep their segments from stretching are no springs'
+        stiffness = jnp.where((np.arange(6) < 3)[:, None] & topology.slender_rfes, 0.0, stiffness)
     return {
         "rest": jnp.asarray(right) * extent,
         "stiffness": stiffness,

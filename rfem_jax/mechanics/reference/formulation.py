@@ -94,15 +94,37 @@ def transforms(
             hinge = hinge @ _transform(rotation, np.zeros(3))
         frames[l] = hinge @ jnp.linalg.inv(bore[l])
         for k in range(a, b):
-            x, y, z, phi_x, phi_y, phi_z = position.elastic[:, k]
-            outer = _rotation_about(2, phi_z) @ _rotation_about(1, phi_y)
-            if topology.exact:
-                outer = _rotation_about(1, phi_y) @ _rotation_about(2, phi_z)
-            rotation = outer @ _rotation_about(0, phi_x)
+            x, y, z = _slender_place(actual, position, k) if l in topology.slender else position.elastic[:3, k]
+            rotation = _rfe_rotation(topology, position.elastic[3:, k])
             rest = _along(actual.rest, k)
             relative = _transform(rotation, rest + jnp.stack([x, y, z]))
             frames[topology.n_links + k] = frames[l] @ relative
     return [frames[node] for node in range(topology.n_links + topology.n_rfes)]
+
+
+def _rfe_rotation(topology: Topology, phi: Array) -> Array:
+    """Rotation of an rfe in its link frame."""
+    outer = _rotation_about(2, phi[2]) @ _rotation_about(1, phi[1])
+    if topology.exact:
+        outer = _rotation_about(1, phi[1]) @ _rotation_about(2, phi[2])
+    return outer @ _rotation_about(0, phi[0])
+
+
+def _slender_place(actual: ModelWithErrors, position: Coordinates, rfe: int) -> Array:
+    """Displacement of an rfe of a slender link, whose faces meet: from face to face, beginning at rfe 0."""
+    topology, x = actual.topology, jnp.array([1.0, 0.0, 0.0])
+
+    def moved(k: int, lever: Array) -> Array:
+        phi = position.elastic[3:, k]
+        return lever * (_rfe_rotation(topology, phi) @ x - x)
+
+    place = jnp.zeros(3)
+    first = topology.ranges[topology.link_of(topology.n_links + rfe)][0]
+    for k in range(first, rfe + 1):
+        place = place - moved(k, actual.lever_right[k])
+        if k < rfe:
+            place = place + moved(k, actual.lever_left[k + 1])
+    return place
 
 
 def constraints(
@@ -450,7 +472,7 @@ def reference_accelerations(
 
     derivatives = jax.jacfwd(matrices)(q)
     bias = jax.jvp(rate, (q,), (qd,))[1]
-    mass = jnp.einsum("nabi,nbc,nacj->ij", derivatives, pseudo_inertia, derivatives)
+    mass = jnp.einsum("nabi,nbc,nacj->ij", derivatives, pseudo_inertia, derivatives) + _without_effect(topology)
     inertial = jnp.einsum("nabi,nbc,nac->i", derivatives, pseudo_inertia, bias)
 
     def potential(frames, q):
@@ -484,7 +506,7 @@ def reference_accelerations(
     gamma = -jax.jvp(phi_rate, (q,), (qd,))[1]
     gamma = gamma - stabilisation.velocity_gain * phi_rate(q) - stabilisation.position_gain * phi(q)
     found, multipliers = _solve_augmented(mass, jacobian, force, gamma, drive, topology.minimum_norm)
-    return unravel(found), multipliers[: topology.n_constraints - sum(topology.sprung_rows)]
+    return _displaced(actual, state, unravel(found)), multipliers[: topology.n_constraints - sum(topology.sprung_rows)]
 
 
 def _solve_augmented(
@@ -503,6 +525,27 @@ def _solve_augmented(
     system = jnp.block([[mass, -jacobian.T], [jacobian, corner]])
     solution = jnp.linalg.solve(system, jnp.concatenate([force, gamma]))
     return solution[:n], solution[n:]
+
+
+def _displaced(actual: ModelWithErrors, state: State, accelerations: Coordinates) -> Coordinates:
+    """Second derivatives of the coordinates with those of displacements in slender links."""
+    if not actual.topology.slender:
+        return accelerations
+
+    def place(values: Array) -> Array:
+        at = Coordinates(state.position.joints, values)
+        slender = np.flatnonzero(actual.topology.slender_rfes)
+        return values.at[:3, slender].set(jnp.stack([_slender_place(actual, at, k) for k in slender.tolist()], axis=1))
+
+    values, rates = state.position.elastic, state.velocity.elastic
+    bias = jax.jvp(lambda values: jax.jvp(place, (values,), (rates,))[1], (values,), (rates,))[1]
+    return Coordinates(accelerations.joints, jax.jvp(place, (values,), (accelerations.elastic,))[1] + bias)
+
+
+def _without_effect(topology: Topology) -> Float[Array, "n n"]:
+    """Unit masses of displacements in slender links, which are no coordinates and stay without forces."""
+    displacements = np.concatenate([np.tile(topology.slender_rfes, (3, 1)), np.zeros((3, topology.n_rfes))])
+    return jnp.diag(ravel_pytree(Coordinates(jnp.zeros(topology.n_freedoms), jnp.asarray(displacements)))[0])
 
 
 def open_multipliers(actual: ModelWithErrors, state: State, scale: Scalar) -> Float[Array, "constraints constraints"]:

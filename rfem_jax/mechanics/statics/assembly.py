@@ -47,6 +47,7 @@ from rfem_jax.mechanics.implicit.residual import Residual
 from rfem_jax.mechanics.kinematics.cut_joints import Closure, closure, spring_residual, spring_row_tangent
 from rfem_jax.mechanics.kinematics.motion import by_freedom, motion_of, range_used
 from rfem_jax.mechanics.kinematics.self_stress import redundancy
+from rfem_jax.mechanics.kinematics.slender_links import projected, with_displacements
 from rfem_jax.mechanics.model.errors import AssemblyErrors, Errors, assembly_errors, errors_of
 from rfem_jax.mechanics.model.inputs import DriveInput
 from rfem_jax.mechanics.model.model import Coordinates, Model, State, Topology, length_scale
@@ -266,6 +267,12 @@ def start_values(model: Model) -> Coordinates:
     return Coordinates(jnp.concatenate(parts), start.elastic)
 
 
+def _dependent(topology: Topology) -> list[int]:
+    """Places among the unknowns of displacements that follow from rotations, in slender links; they stay zero."""
+    places = topology.n_freedoms + np.arange(3)[:, None] * topology.n_rfes + np.flatnonzero(topology.slender_rfes)
+    return places.reshape(-1).tolist()
+
+
 def _joint_units(topology: Topology, length: Array) -> Float[Array, " freedoms"]:
     """1 rad, or a length [m], of every joint coordinate."""
     slides, ones = np.array(topology.slides, dtype=bool), jnp.ones(topology.n_freedoms)
@@ -287,7 +294,7 @@ def equilibrium(
     scaled = _scaled(model, actual)
     if topology.idle:
         held = {**{k: start_values(model).joints[k] for k in topology.idle}, **held}
-    given = np.array(list(held), int)
+    given = np.array([*held, *_dependent(topology)], int)
     undeformed = scaled.unknowns(start_values(model), jnp.zeros(topology.n_constraints))
 
     def residual(unknowns, scaled, args):
@@ -299,8 +306,8 @@ def equilibrium(
             value = scaled.with_open_multipliers(value, unknowns, *jax.lax.stop_gradient((actual, position)))
         return jnp.where(is_given, unknowns - angles @ onto, value)
 
-    angles = jnp.array([*held.values()], float)
-    start = start_values(model).joints[given]
+    angles = jnp.array([*held.values(), *(0.0 for _ in given[len(held) :])], float)
+    start = ravel_pytree(start_values(model))[0][given] if topology.slender else start_values(model).joints[given]
     if any(topology.slides[k] for k in held):
         angles, start = angles / scaled.units[given], start / scaled.units[given]
     onto = (given[:, None] == np.arange(undeformed.size)).astype(float)
@@ -329,7 +336,7 @@ def equilibrium(
 
     equations_of = kernel(lambda x, inputs: residual(x, *inputs), name="static equations")
     unknowns = implicit_function(equations_of, tangent_solve, end, (scaled, args))
-    position = scaled.coordinates(unknowns)
+    position = with_displacements(actual, scaled.coordinates(unknowns))
     found = found & jnp.all(jnp.isfinite(unknowns))
     return position, scaled.multipliers(unknowns), _status_of(actual, position, found, scaled.length)
 
@@ -404,11 +411,14 @@ def _preconditioner(scaled: _Scaled, given: np.ndarray, actual: ModelWithErrors,
         lambda actual, position: static_tangent(actual, position, held, scaled.length, stiffness), name="static tangent"
     )
     tangent = tangent_at(actual, position)
+    dependent = np.isin(np.arange(unknowns.size), _dependent(topology))
 
     def solve(residual):
         forces, closing = scaled.unscaled(residual)
         by_part = Residual(forces.joints, -forces.elastic[:3], -forces.elastic[3:], -closing)
         increment = scaled.unknowns(*static_increment(topology, tangent, by_part))
+        if topology.slender:
+            increment = jnp.where(dependent, 0.0, increment)
         return increment + jnp.where(np.isin(np.arange(unknowns.size), given), residual, 0.0)
 
     return kernel(solve, name="static increment")
@@ -437,6 +447,8 @@ def _rows(scaled: _Scaled, actual: ModelWithErrors) -> Array:
         if stiffness is not None:
             closing = jnp.where(np.array(topology.sprung_rows), stiffness * scaled.length + scaled.force, closing)
     of_rfes = jnp.einsum("kij,jk->ik", springs, one)
+    if topology.slender:
+        of_rfes = of_rfes.at[:3].set(jnp.where(topology.slender_rfes, scaled.force, of_rfes[:3]))
     if actual.frame_forces is not None:
         of_joints, of_rfes = _with_element_rows(scaled, actual, of_joints, of_rfes)
     forces = Coordinates(of_joints, of_rfes)
@@ -492,6 +504,8 @@ def _static_residual(
                 moment = moment + apply_transposed(rotation, on_moment)[:, None] * there
     external = jnp.concatenate([force, apply_transposed(motion.relative.rate_matrix, moment)])
     elastic, _ = elasticity.generalised_forces(actual, state, motion.relative)
+    if topology.slender:
+        external = jnp.concatenate(projected(actual, motion.relative, external[:3], external[3:]))
     closing = jnp.zeros((0,)) if cuts is None else spring_residual(topology, cuts, multipliers, cuts.residual)
     return hinge, external + elastic, closing
 

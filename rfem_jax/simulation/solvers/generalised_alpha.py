@@ -70,6 +70,7 @@ from rfem_jax.mechanics.implicit.residual import (
 )
 from rfem_jax.mechanics.kinematics.cut_joints import Closure, closure
 from rfem_jax.mechanics.kinematics.motion import Motion, motion_of
+from rfem_jax.mechanics.kinematics.slender_links import completed_state
 from rfem_jax.mechanics.model.inputs import DriveInput, impose
 from rfem_jax.mechanics.model.model import Coordinates, State, Topology
 from rfem_jax.mechanics.model.orientations import moved
@@ -487,6 +488,7 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
             rates,
         )
         most = jnp.maximum(memory.largest_residual, residual)
+        state = completed_state(actual, state)
         return StepEnd(
             Trajectory(state.position, state.velocity, integrals),
             memory._replace(
