@@ -9,6 +9,7 @@ from rfem_jax import (
     AxisPoint,
     Circle,
     Compliance,
+    CompositeSection,
     Coupling,
     DistributedForce,
     GivenSection,
@@ -108,9 +109,20 @@ def tapered_four_bar(**more):
     )  # fmt: skip
 
 
+def laminate():
+    """Everything couples, and the mass centre is off the axis."""
+    size = np.sqrt([1.2e7, 4e6, 3e6, 60.0, 90.0, 50.0])
+    apart = 0.1 * np.sin(np.arange(36.0).reshape(6, 6))
+    stiffness = np.outer(size, size) * (np.eye(6) + apart + apart.T)
+    return CompositeSection(
+        stiffness.tolist(), 0.5, 9e-6, 5e-6, 4e-6, rotary_inertia_yz=1e-6, mass_offset_y=0.002, mass_offset_z=-0.001,
+        damping=STEEL.damping,
+    )  # fmt: skip
+
+
 def curved_four_bar(forces=(), **more):
     """The four-bar with a rigid bent crank, an arc as its coupler, whose section is turned and has a step, and a rocker
-    with errors of form; masses beside the axes, loads along them."""
+    that couples all directions, with errors of form; masses beside the axes, loads along them."""
     mechanism = four_bar(forces=[
         DistributedForce("wind", "coupler", (30, -20, 50), axes="link"),
         DistributedForce("ramp", "rocker", (5, 0, -20), (-40, 30, 70), begin=0.03, end=0.21),
@@ -128,7 +140,10 @@ def curved_four_bar(forces=(), **more):
             coupler, length=None, axis=(arc,), section=flat, stations=[Station(0.11, after=Circle(0.008))],
             point_masses=masses,
         ),
-        dataclasses.replace(rocker, form_errors=True, section=flat, point_masses=[PointMass(0.03, (0.2, 0.0, 0.01))]),
+        dataclasses.replace(
+            rocker, form_errors=True, section=laminate(), material=None,
+            point_masses=[PointMass(0.03, (0.2, 0.0, 0.01))],
+        ),
     )  # fmt: skip
     return dataclasses.replace(mechanism, links=links)
 

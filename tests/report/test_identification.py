@@ -295,6 +295,7 @@ def test_check_says_what_is_asked(path):
         ('"D.d_y" = ["-0.2 mm"', '"D.d_y" = ["0.02 mm"', ("[identification.correction]", "`adjustments`", "0 among")),
         ('["-0.2 mm", "0.1 mm"]', '["0.2 mm", "0.1 mm"]', ("[identification.correction]", "`adjustments`", "rise")),
         ("limits = {", "limit = {", ("[identification.correction]", "`limits`")),
+        ("limits = {", 'multiples_of = { "D.d_z" = 1e-4 }\nlimits = {', ("`multiples_of`", "`D.d_z`", "adjustments")),
         ("noise = 0.3", "nose = 0.3", ("[identification.signals.A_force_x_N]", "`nose`", "`noise`")),
     ],
 )

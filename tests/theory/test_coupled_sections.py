@@ -172,8 +172,9 @@ def test_stresses_of_an_angle_are_those_of_its_principal_axes():
 def test_an_angle_in_motion_has_loads_across_the_plane(section, across):
     """Its product of inertia does not let a planar mechanism of rigid links be its own mirror image."""
     links = [Link(name, length, section, STEEL, rigid=True) for name, length in (("a", 0.1), ("b", 0.3), ("c", 0.3))]
-    joints = [Joint("A", "base", "a"), Joint("B", "a", "b", angle=1.2), Joint("D", "base", "c", position=(0.3, 0.0, 0.0)),
-              Joint("C", "b", "c", cut=True, child_position=(0.3, 0.0, 0.0))]  # fmt: skip
+    far = (0.3, 0.0, 0.0)
+    joints = [Joint("A", "base", "a"), Joint("B", "a", "b", angle=1.2), Joint("D", "base", "c", position=far)]
+    joints.append(Joint("C", "b", "c", cut=True, child_position=far))
     assert discretise(Mechanism(links, joints, driven_joint="A")).topology.across == across
 
 
