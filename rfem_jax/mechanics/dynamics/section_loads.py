@@ -23,7 +23,6 @@ from rfem_jax.mechanics.dynamics.slender_forces import Moving, constraint_forces
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.forces.element_loads import FrameLoads
 from rfem_jax.mechanics.forces.shaped_lines import shaped_line
-from rfem_jax.mechanics.kinematics.motion import Motion
 from rfem_jax.mechanics.laws.clearances import clearance_name
 from rfem_jax.mechanics.model.form import bodies_of, point_inertia, segments_of
 from rfem_jax.mechanics.model.model import BASE, Model, State, rfe_fractions

@@ -124,8 +124,8 @@ def _require_one_of(topology: Topology) -> None:
     if topology.slender and topology.shaped:
         names = ", ".join(f"`{topology.links[l]}`" for l in topology.slender)
         raise InputError(
-            f"Argument `flexibility` of {names} must be left out in a mechanism in which a link has an axis, a bow or a "
-            'section that couples directions, but is ["bending", "torsion"]; leave it out.'
+            f"Argument `flexibility` of {names} must be left out in a mechanism in which a link has an axis, a bow or "
+            'a section that couples directions, but is ["bending", "torsion"]; leave it out.'
         )
 
 
