@@ -5,8 +5,8 @@ Place in the pipeline: [tolerances] of a study, or the answer of `allocate` or `
 An error of one component within an interval is a zone between two planes, as wide as the interval; a tilt t [rad] is
 one of 100 mm t over a restricted length of 100 mm. Zones of the study are those of the drawing. Lengths of links and
 dimensions have deviations from their sizes, a radial clearance twice its own on the diameter. A direction is
-parallel, perpendicular or askew to its datum as the nominal mechanism has it. Straightness, runout and other forms
-are no errors of the model, and in no row.
+parallel, perpendicular or askew to its datum as the nominal mechanism has it. A bow is a half-wave, which just lies
+between planes as far apart as its amplitude. Runout and other forms are no errors of the model, and in no row.
 
 Symbols: ISO 1101:2017, table 4; sizes: ISO 14405-1.
 """
@@ -25,14 +25,14 @@ from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.mechanism import Mechanism
 from rfem_jax.description.parameters.parameters import parameters_of
 from rfem_jax.description.study_file.study import Study
-from rfem_jax.description.tolerances.error_catalogue import JOINT_ERRORS, LINK_ERRORS, as_specified
+from rfem_jax.description.tolerances.error_catalogue import BOWS, JOINT_ERRORS, LINK_ERRORS, as_specified
 from rfem_jax.description.tolerances.tolerances import SpecifiedTolerances
-from rfem_jax.description.tolerances.zones import SpecifiedZone, is_zone
+from rfem_jax.description.tolerances.zones import STRAIGHTNESS, SpecifiedZone, is_zone
 from rfem_jax.exchange.rigid_frames import rotation_from
 
 SYMBOLS = {
     "position": "\u2316", "coaxiality": "\u25ce", "parallelism": "\u2225", "perpendicularity": "\u27c2",
-    "angularity": "\u2220", "size": "\u00b1",
+    "angularity": "\u2220", "straightness": "\u23e4", "size": "\u00b1",
 }  # fmt: skip
 DIAMETER = "\u2300"
 OVER = 100.0  # mm, the restricted length of directions
@@ -120,9 +120,13 @@ class _Table:
     mechanism: Mechanism
 
     def of_zone(self, zone: SpecifiedZone, diameter: float) -> dict[str, str]:
-        owner = zone.name.rpartition(".")[0]
+        owner, value = zone.name.rpartition(".")[0], _mm(diameter)
+        if zone.characteristic == STRAIGHTNESS:
+            return {
+                "name": zone.name, "distribution": "uniform in the zone",
+                **_straightness(owner, "cylinder", value, f"{DIAMETER}{value}"),
+            }  # fmt: skip
         _, part, _, datum, _ = self._feature(owner)
-        value = _mm(diameter)
         shape = "S" if zone.zone == "sphere" else ""
         over = f"{1e3 * zone.length:g}" if zone.length is not None else ""
         feature = f"centre of {owner}" if zone.zone == "sphere" else f"axis of {owner}"
@@ -144,6 +148,9 @@ class _Table:
             if component == "twist":
                 return row | self._tilt(one, owner, f"far end of {owner}", "near end", "parallelism")
             return row | _size(one, owner, "length from end to end")
+        if owner in links and component in BOWS:
+            value = _mm(max(abs(one.low), abs(one.high)))
+            return row | _straightness(owner, f"between planes across {component[-1]} of {owner}", value, value)
         if owner.partition(".")[0] in joints and component in {name.rpartition(".")[2] for name in JOINT_ERRORS}:
             return row | self._of_joint(one, owner, component)
         return row | self._of_parameter(one)
@@ -214,6 +221,15 @@ def _relation(axis: np.ndarray | None, datum: np.ndarray | None) -> str:
     if np.linalg.norm(np.cross(axis, datum)) < _ALONG:
         return "parallelism"
     return "perpendicularity" if abs(axis @ datum) < _ALONG else "angularity"
+
+
+def _straightness(link: str, zone: str, value: str, size: str) -> dict[str, str]:
+    """Straightness of the axis of a link, which needs no datum; `size`: as it stands in the frame."""
+    symbol = SYMBOLS[STRAIGHTNESS]
+    return {
+        "part": link, "feature": f"axis of {link}", "characteristic": STRAIGHTNESS, "symbol": symbol, "zone": zone,
+        "value": value, "unit": "mm", "indication": f"{symbol} {size}",
+    }  # fmt: skip
 
 
 def _size(one: _Asked, part: str, feature: str) -> dict[str, str]:

@@ -60,10 +60,11 @@ def gltf_text(scene: Scene) -> str:
     nodes: list[dict[str, Any]] = [{"name": scene.title, "rotation": _UPRIGHT, "children": []}]
     animated: list[tuple[int, np.ndarray, np.ndarray | None]] = []
     for part in scene.parts:
-        begin, end = part.extent
+        begin, end = part.ends
+        length = max(float(np.linalg.norm(end - begin)), 1e-9)
         shape = {
-            "mesh": links.index(part.link), "translation": [0.5 * (begin + end), 0.0, 0.0],
-            "scale": [max(end - begin, 1e-9), _THICKNESS * size, _THICKNESS * size],
+            "mesh": links.index(part.link), "translation": (0.5 * (begin + end)).tolist(),
+            "rotation": _from_x((end - begin) / length), "scale": [length, _THICKNESS * size, _THICKNESS * size],
         }  # fmt: skip
         nodes += [{"name": f"{part.link}.{part.number}", "children": [len(nodes) + 1]}, shape]
         animated.append((len(nodes) - 2, part.point[rows], _quaternions(part.rotation[rows])))
@@ -118,6 +119,14 @@ def _quaternions(rotation: Float[np.ndarray, "T 3 3"]) -> Float[np.ndarray, "T 4
     signs = np.cumprod(np.where(np.einsum("ti,ti->t", found[1:], found[:-1]) < 0.0, -1.0, 1.0))
     found[1:] *= signs[:, None]
     return found[:, [1, 2, 3, 0]]
+
+
+def _from_x(direction: Float[np.ndarray, "3"]) -> list[float]:
+    """The unit quaternion (x, y, z, w) that turns x into a direction by the shortest way."""
+    x, y, z = (float(one) for one in direction)
+    turn = np.array([0.0, -z, y, 1.0 + x])
+    size = np.linalg.norm(turn)
+    return (turn / size).tolist() if size > 1e-6 else [0.0, 0.0, 1.0, 0.0]
 
 
 def _mesh(buffer: _Buffer, points: np.ndarray, normals: np.ndarray, triangles: np.ndarray, material: int) -> dict:

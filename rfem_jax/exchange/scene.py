@@ -17,11 +17,11 @@ from rfem_jax.mechanics.model.model import Topology
 
 @dataclass(frozen=True)
 class Part:
-    """A rigid finite element: link, number within it from 0, where it begins and ends along its x [m], its frame."""
+    """A rigid finite element: link, number within it from 0, where it begins and ends in its frame [m], its frame."""
 
     link: str
     number: int
-    extent: tuple[float, float]
+    ends: Float[np.ndarray, "2 3"]
     rotation: Float[np.ndarray, "T 3 3"]
     point: Float[np.ndarray, "T 3"]
 
@@ -67,15 +67,11 @@ class Scene:
 def parts_of(topology: Topology, bodies: Bodies) -> tuple[Part, ...]:
     """The rfes, link by link."""
     rotation, point = np.asarray(bodies.rotation), np.asarray(bodies.point)
-    (left, right), middle = np.asarray(bodies.levers), np.asarray(bodies.middle)
-    found = []
+    ends, found = np.asarray(bodies.ends), []
     for l, (name, (a, b)) in enumerate(zip(topology.links, topology.ranges, strict=True)):
         nodes = [l, *range(topology.n_links + a, topology.n_links + b)]
-        begins = [0.0, *right[a:b]]
-        ends = [2.0 * middle[l]] if a == b else [middle[l] + left[a], *left[a + 1 : b], middle[l]]
         found += [
-            Part(name, number, (float(begin), float(end)), rotation[:, node], point[:, node])
-            for number, (node, begin, end) in enumerate(zip(nodes, begins, ends, strict=True))
+            Part(name, number, ends[:, node], rotation[:, node], point[:, node]) for number, node in enumerate(nodes)
         ]
     return tuple(found)
 

@@ -22,6 +22,8 @@ TOLERANCES = """
 "B.position" = { diameter = "0.1 mm", length = "20 mm" }
 "P.coaxiality" = { fit = "12 H7/g6", length = "15 mm" }
 "P.pin_tilt_x" = "0.02 deg"
+"crank.bow_y" = "0.02 mm"
+"rod.straightness" = "0.1 mm"
 "bar.width" = { iso = "12 h9" }
 "load.stiffness" = 10.0
 """
@@ -51,7 +53,8 @@ def test_symbols_are_those_of_the_standard():
     names = {key: unicodedata.name(symbol) for key, symbol in SYMBOLS.items()}
     assert names == {
         "position": "POSITION INDICATOR", "coaxiality": "BULLSEYE", "parallelism": "PARALLEL TO",
-        "perpendicularity": "PERPENDICULAR", "angularity": "ANGLE", "size": "PLUS-MINUS SIGN",
+        "perpendicularity": "PERPENDICULAR", "angularity": "ANGLE", "straightness": "STRAIGHTNESS",
+        "size": "PLUS-MINUS SIGN",
     }  # fmt: skip
 
 
@@ -82,6 +85,10 @@ def test_errors_zones_and_sizes(path):
     assert float(fit["value"]) == pytest.approx(0.035) and fit["indication"].endswith("(12 H7/g6)")
     assert rows["rod.length"]["indication"] == "\u00b10.05"
     assert rows["crank.length"]["indication"] == "+0.05 / -0.02" and rows["crank.length"]["value"] == ""
+    # A half-wave of 0.02 mm lies between planes so far apart, and needs no datum.
+    assert (rows["crank.bow_y"]["indication"], rows["crank.bow_y"]["datum"]) == (f"{SYMBOLS['straightness']} 0.02", "")
+    assert rows["crank.bow_y"]["zone"] == "between planes across y of crank"
+    assert rows["rod.straightness"]["indication"] == f"{SYMBOLS['straightness']} \u23000.1"
     # h9 at 12 mm: 0 and -43 um, which stands as its code.
     assert (rows["bar.width"]["lower"], rows["bar.width"]["upper"]) == ("-0.043", "0")
     assert rows["bar.width"]["indication"] == "12 h9"

@@ -8,15 +8,22 @@ from importlib.util import find_spec
 from itertools import pairwise
 from xml.etree import ElementTree as Xml
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import Case, GeneralisedAlpha, Material, Rectangle
+from rfem_jax import Case, GeneralisedAlpha, Material, Rectangle, assembly_errors, discretise
 from rfem_jax.description import Study
-from rfem_jax.exchange.gltf_writer import gltf_text
+from rfem_jax.exchange.gltf_writer import _from_x, gltf_text
+from rfem_jax.exchange.scene import parts_of
+from rfem_jax.mechanics.dynamics.centre_lines import link_lines, trace_bodies
+from rfem_jax.mechanics.model.model import Coordinates
+from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.report.motion_files import write_motions
 from rfem_jax.report.page.animation import record_animation
 from rfem_jax.simulation import run_cases
+from tests.mechanisms import curved_four_bar, four_bar
 
 from .machines import MACHINES
 
@@ -159,10 +166,10 @@ def test_bars_of_gltf_are_where_the_lines_are(moved):
         names = [name for name in moves if name.startswith(f"{link['name']}.")]
         ends = {}
         for name in names:
-            middle, length = shapes[name]["translation"][0], shapes[name]["scale"][0]
+            middle, length = np.array(shapes[name]["translation"]), shapes[name]["scale"][0]
+            along = turned(np.array(shapes[name]["rotation"]), np.array([length, 0.0, 0.0]))
             ends[name] = [
-                moves[name]["translation"] + turned(moves[name]["rotation"], np.array([middle + s * length, 0.0, 0.0]))
-                for s in (-0.5, 0.5)
+                moves[name]["translation"] + turned(moves[name]["rotation"], middle + s * along) for s in (-0.5, 0.5)
             ]
         np.testing.assert_allclose(ends[names[0]][0], points[:, 0], atol=2e-7)
         np.testing.assert_allclose(ends[names[-1]][1], points[:, -1], atol=2e-7)
@@ -174,13 +181,35 @@ def test_bars_of_gltf_are_where_the_lines_are(moved):
         np.testing.assert_allclose(moves[joint["name"]]["translation"], arrays["centre"][:, j], atol=2e-7)
 
 
+@pytest.mark.parametrize("make", [four_bar, curved_four_bar], ids=["straight", "curved"])
+def test_elements_follow_the_axes_of_links(make):
+    """At rest each begins where the one before ends, from the links' origins to their ends, also along curves."""
+    model = discretise(make())
+    errors = assembly_errors(model, {"coupler.length": 1e-3})
+    rest = Coordinates(model.start_joints, jnp.zeros((6, model.topology.n_rfes)))
+    at_once = jax.tree.map(lambda x: x[None], rest)
+    parts = parts_of(model.topology, trace_bodies(model, errors, at_once))
+    lines = link_lines(model, apply_errors(model, errors), rest)
+    for link, line in lines.items():
+        own = [part for part in parts if part.link == link]
+        ends = [part.point[0] + part.ends @ part.rotation[0].T for part in own]
+        np.testing.assert_allclose(ends[0][0], line[0], atol=1e-12)
+        np.testing.assert_allclose(ends[-1][1], line[-1], atol=1e-12)
+        for one, two in pairwise(ends):
+            np.testing.assert_allclose(one[1], two[0], atol=1e-12)
+    for part in parts:
+        along = part.ends[1] - part.ends[0]
+        shown = turned(np.array(_from_x(along / np.linalg.norm(along))), np.array([np.linalg.norm(along), 0.0, 0.0]))
+        np.testing.assert_allclose(shown, along, atol=1e-12)
+
+
 def test_a_run_without_numbers_at_its_end(moved):
     """Instants without numbers are no part of glTF, and are nan in VTK's files."""
     from rfem_jax.exchange.scene import JointPlace, Line, Part, Scene
     from rfem_jax.exchange.vtk_writer import poly_data_texts
 
     point = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [np.nan] * 3])
-    part = Part("bar", 0, (0.0, 1.0), np.stack([np.eye(3)] * 3), point)
+    part = Part("bar", 0, np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), np.stack([np.eye(3)] * 3), point)
     line = Line("bar", point[:, None] + [[[0.0] * 3, [1.0, 0.0, 0.0]]], np.zeros((3, 2, 3)))
     scene = Scene(NAME, np.array([0.0, 0.1, 0.2]), (part,), (line,), (JointPlace("A", point, point, point, point),))
     content = json.loads(gltf_text(scene))

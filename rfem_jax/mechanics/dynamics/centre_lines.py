@@ -97,13 +97,11 @@ def _shape(actual: ModelWithErrors, position: Coordinates) -> Shape:
 
 class Bodies(NamedTuple):
     """Where all rfes are, those at the origins of the links first, then link by link: rotations and origins [m] of
-    their frames. levers: x of the elements from the middles of the rfes on their left and right; middle: x of the
-    middle of the first rfe of every link, a whole rigid one or not [m]."""
+    their frames; ends: in these, where the link's axis begins and ends on each [m]."""
 
     rotation: Float[Array, "*t nodes 3 3"]
     point: Float[Array, "*t nodes 3"]
-    levers: Float[Array, "2 rfes"]
-    middle: Float[Array, " links"]
+    ends: Float[Array, "2 nodes 3"]
 
 
 @functools.partial(Program, nameless=True)
@@ -111,8 +109,32 @@ def trace_bodies(model: Model, errors: AssemblyErrors, positions: Coordinates) -
     """The rfes of a mechanism with its errors at many positions, whose arrays have a first axis of times."""
     actual = apply_errors(model, errors)
     rotation, point = jax.vmap(lambda position: _body_frames(actual, position))(positions)
-    levers = jnp.stack([actual.lever_left, actual.lever_right])
-    return Bodies(jnp.moveaxis(rotation, 3, 1), jnp.moveaxis(point, 2, 1), levers, actual.beam_middle)
+    ends = jnp.stack([jnp.concatenate(both, axis=1).T for both in zip(*_ends_of_rfes(actual))])
+    return Bodies(jnp.moveaxis(rotation, 3, 1), jnp.moveaxis(point, 2, 1), ends)
+
+
+def _ends_of_rfes(actual: ModelWithErrors) -> list[tuple[Float[Array, "3 _"], Float[Array, "3 _"]]]:
+    """Where the axis begins and ends on the rfes at the links' origins, and on the free rfes of every link: at the next
+    sdes, or at the ends of the link."""
+    topology, form = actual.topology, actual.form
+    left, right = (_vectors(one) for one in (actual.lever_left, actual.lever_right))
+    of_roots, of_free = [], []
+    for l, (a, b) in enumerate(topology.ranges):
+        if form is None:  # as many halves of rfe 0 from a root's origin, or from the middle of the last rfe
+            first = _vectors(actual.beam_middle[l : l + 1])
+            far = first if b > a else 2.0 * first
+        else:
+            first = jnp.zeros((3, 1))
+            tip = form.at(l, jnp.reshape(form.whole(l), 1)).position
+            far = tip - actual.rest[:, b - 1 : b] if b > a else tip
+        of_roots.append(first + left[:, a : a + 1] if b > a else far)
+        of_free += [(right[:, a:b], jnp.concatenate([left[:, a + 1 : b], far], axis=1))] if b > a else []
+    return [(jnp.zeros((3, topology.n_links)), jnp.concatenate(of_roots, axis=1)), *of_free]
+
+
+def _vectors(arms: Array) -> Float[Array, "3 _"]:
+    """Lever arms of links without a form, which lie along x, as vectors."""
+    return arms if arms.ndim == 2 else jnp.stack([arms, jnp.zeros_like(arms), jnp.zeros_like(arms)])
 
 
 @kernel
