@@ -20,6 +20,7 @@ FILES = sorted(path.relative_to(STUDIES).as_posix() for path in STUDIES.rglob("*
 JOINTS = {
     "straight_line": ("A", "B", "D", "C"),
     "slider_crank": ("A", "B", "G", "P"),
+    "connecting_rod": ("A", "B", "G", "P"),
     "toggle": ("A", "B", "G", "C"),
     "six_bar_press": ("A", "B", "D", "C", "E", "G", "F"),
     "balancing/slider_crank.toml": ("A", "B", "G", "P"),
@@ -274,6 +275,22 @@ def test_straight_line(run_command):
         metrics = cases[name]["metrics"]
         assert metrics["P.max_deviation"] == pytest.approx(1e-3 * moved, rel=1e-2)
         assert metrics["P.straightness"] - 0.99417e-3 == pytest.approx(1e-3 * bent, rel=1e-2)
+
+
+@pytest.mark.slow
+def test_connecting_rod(run_command):
+    """A bow sideways: the pins hold the ends of the rod parallel, each by 2 N b / pi; in the plane they turn."""
+
+    def without(content):
+        del content["sensitivity"], content["monte_carlo"]
+
+    out, _ = run_command("run", reduced("connecting_rod/study.toml", change=without))
+    cases = json.loads((out / "results.json").read_text())["cases"]
+    assert all(case["status"] == "ok" for case in cases.values())
+    loads = cases["bowed_sideways"]["joints"]
+    force, moment = (0.5 * (loads["B"][kind] + loads["P"][kind]) for kind in ("rms_force", "rms_moment"))
+    assert moment == pytest.approx(2.0 / np.pi * force * 2e-4, rel=1e-2)
+    assert cases["bowed_in_plane"]["joints"]["P"]["rms_moment"] < 1e-3 * moment
 
 
 def balancing(name):
