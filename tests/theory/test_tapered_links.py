@@ -3,6 +3,7 @@
 import dataclasses
 from itertools import pairwise
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -18,11 +19,15 @@ from rfem_jax import (
     PointForce,
     PointMoment,
     Rectangle,
+    StaticProblem,
     Station,
+    Tolerances,
     Tube,
+    Uniform,
     assemble,
     assembly_errors,
     discretise,
+    monte_carlo,
     static_loads,
 )
 from rfem_jax.mechanics.model.with_errors import apply_errors
@@ -296,3 +301,15 @@ def test_a_station_without_a_section_is_refused():
         Station(-0.1, after=Circle(0.01))
     with pytest.raises(InputError, match="`section` of a station"):
         Station(0.1, section=dataclasses.replace(STEEL))
+
+
+def test_samples_of_tapered_links():
+    """A Monte Carlo study over the length of a tapered cantilever: it carries its weight, which grows with it."""
+    wide, thin = Rectangle(0.01, 0.02), Rectangle(0.01, 0.01)
+    beam = Link("beam", LENGTH, wide, STEEL, rfes=3, stations=[Station(section=thin)])
+    mechanism = Mechanism([beam], [Joint("A", "base", "beam", kind="fixed")], gravity=(0.0, 0.0, -9.81))
+    problem = StaticProblem(discretise(mechanism), ("A.max_force",))
+    result = monte_carlo(problem, Tolerances({"beam.length": Uniform(1e-2)}), 8, jax.random.key(1))
+    weight = 9.81 * STEEL.density * 0.01 * 0.015 * LENGTH
+    np.testing.assert_allclose(result.values[:, 0], weight * (1.0 + result.errors[:, 0] / LENGTH), rtol=1e-12)
+    assert result.good == 8
