@@ -77,9 +77,9 @@ def study_schema() -> Schema:
         if f"[{name}.cost]" in by_header:
             cost = one(f"[{name}.cost]")
             within["cost"] = _named([cost], **cost["properties"])
-        for key in ("signals", "candidates"):
-            if f"[{name}.{key}.COLUMN]" in by_header:
-                within[key] = _named([one(f"[{name}.{key}.COLUMN]")])
+        for key in ("signals.COLUMN", "candidates.COLUMN", "measured.NAME"):
+            if f"[{name}.{key}]" in by_header:
+                within[key.partition(".")[0]] = _named([one(f"[{name}.{key}]")])
         if f"[{name}.correction]" in by_header:
             within["correction"] = one(f"[{name}.correction]")
         own[name] = one(f"[{name}]", within)

@@ -122,7 +122,7 @@ def _nameless(section: Section) -> Section:
     return section.with_fields(name=None)
 
 
-def taper_of(links: Sequence[Link], edges: Sequence[Float[np.ndarray, " n"]], plane: str) -> Taper | None:
+def taper_of(links: Sequence[Link], edges: Sequence[Float[np.ndarray, " _"]], plane: str) -> Taper | None:
     """The rfes and sdes of links, whose rfes have their ends at shares `edges` of the lengths; None without
     stations."""
     if not any(link.stations for link in links):
