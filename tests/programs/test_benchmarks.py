@@ -95,6 +95,13 @@ def test_first_answer(run_program, tmp_path):
     assert content["table"] in said
 
 
+def test_identification(run_program):
+    said = run_program("benchmarks/identification.py", "--rfes", 2, "--duration", 0.05, "--repeat", 1, "--samples", 16)
+    rows = {row[0]: row[1:] for row in rows_of(said)}
+    assert set(rows) >= {"3 errors, 2 signals", "10 errors, 4 signals"}
+    assert float(rows["3 errors, 2 signals"][1]) < float(rows["3 errors, 2 signals"][0])
+
+
 def test_automatic_steps(run_program):
     said = run_program(
         "benchmarks/automatic_steps.py", "--accuracies", 1e-2, "--samples", 2, "--batches", 2, "--duration", 0.02,
