@@ -33,7 +33,7 @@ from rfem_jax import (  # noqa: E402
 )
 
 STUDY = load_study(Path(__file__).parents[1] / "studies" / "identify_misassembly" / "study.toml")
-NOISE = {"rate_rad_s": 0.02, "D_moment_z_Nm": 0.02, "D_moment_x_Nm": 0.02, "B_moment_z_Nm": 0.02}
+NOISE = {"rate_rad_s": 0.15, "D_moment_z_Nm": 0.2, "D_moment_x_Nm": 0.2, "B_moment_z_Nm": 0.2}  # as the study has
 TILTS = ("D.delta_x", "D.delta_z", "A.delta_x", "A.delta_z", "B.delta_z", "B.child.delta_z", "C.delta_z")
 LENGTHS = ("D.d_y", "coupler.length", "D.d_x")
 THREE = ("D.delta_x", "D.delta_z", "D.d_y")
