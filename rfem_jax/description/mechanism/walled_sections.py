@@ -179,6 +179,7 @@ class HollowRectangle(WalledShape):
         return tuple(self._edge_point(a * y, b * z, by_torque) for a in (1.0, -1.0) for b in (1.0, -1.0))
 
 
+@dataclass(frozen=True)
 class FlangedShape(WalledShape):
     """A section of a web and flanges, of whose thicknesses neither may be many times the other one."""
 
@@ -186,6 +187,9 @@ class FlangedShape(WalledShape):
     height: float
     web: float
     flange: float
+    shear_factor_y: float | None = DERIVED
+    shear_factor_z: float | None = DERIVED
+    name: str | None = field(default=None, kw_only=True, compare=False)
 
     numbers: ClassVar[Fields] = {**dict.fromkeys(("width", "height", "web", "flange"), _SIZE), **_DERIVED_FACTORS}
 
@@ -210,14 +214,6 @@ class ISection(FlangedShape):
             and Cowper's value for thin walls and nu = 0.
         name: a word, by which parameters of the section are named; None = they are named by the link.
     """
-
-    width: float
-    height: float
-    web: float
-    flange: float
-    shear_factor_y: float | None = DERIVED
-    shear_factor_z: float | None = DERIVED
-    name: str | None = field(default=None, kw_only=True, compare=False)
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -336,14 +332,6 @@ class ChannelSection(FlangedShape, CoupledShape):
         name: a word, by which parameters of the section are named; None = they are named by the link.
     """
 
-    width: float
-    height: float
-    web: float
-    flange: float
-    shear_factor_y: float | None = DERIVED
-    shear_factor_z: float | None = DERIVED
-    name: str | None = field(default=None, kw_only=True, compare=False)
-
     @property
     def parts(self) -> tuple[Part, ...]:
         b, t = self.width, self.flange
@@ -389,14 +377,6 @@ class TeeSection(FlangedShape, CoupledShape):
         shear_factor_y, shear_factor_z: kappa [1] of forces along y and z, > 0; None = those of thin walls, nu = 0.
         name: a word, by which parameters of the section are named; None = they are named by the link.
     """
-
-    width: float
-    height: float
-    web: float
-    flange: float
-    shear_factor_y: float | None = DERIVED
-    shear_factor_z: float | None = DERIVED
-    name: str | None = field(default=None, kw_only=True, compare=False)
 
     @property
     def parts(self) -> tuple[Part, ...]:
