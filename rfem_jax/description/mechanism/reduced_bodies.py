@@ -19,7 +19,7 @@ from rfem_jax.description.basics.numbers import NOT_NEGATIVE, Fields, NumberTree
 from rfem_jax.description.basics.units import short
 
 _SYMMETRY = 1e-5  # of the largest entry of both rows: files are written with six digits
-_RIGID = 1e-3  # of the forces that the interfaces move by, in a motion that deforms nothing
+_RIGID = 1e-4  # of the forces that the interfaces move by, in a motion that deforms nothing
 _LEAST = 1e-9  # of an eigenvalue, where the diagonal is 1
 SAME_PLACE = 1e-6  # of the largest distance of two interfaces
 Matrix = Sequence[Sequence[float]]
@@ -65,10 +65,10 @@ class ReducedBody(NumberTree, ChecksItself):
                 checks.relation(("interfaces", "mass", "stiffness", name), self._check_columns, name)
         checks.convert("stress_names", _names)
         checks.relation(("stresses", "stress_names"), self._check_names)
-        if checks.passed("interfaces", "mass", "stiffness"):
+        if not checks.failed:
             checks.relation(("interfaces", "mass", "stiffness"), self._check_physics)
-            if not checks.failed:  # the frame of the link begins in the first interface
-                object.__setattr__(self, "interfaces", self.interfaces - np.asarray(self.interfaces)[:1])
+        if not checks.failed:  # the frame of the link begins in the first interface
+            object.__setattr__(self, "interfaces", self.interfaces - np.asarray(self.interfaces)[:1])
 
     def _check_sizes(self) -> None:
         n, rows = len(self.interfaces), len(self.mass)
