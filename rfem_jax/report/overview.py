@@ -20,6 +20,7 @@ from rfem_jax.description.mechanism.forces import Force, JointForce, JointForceT
 from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.mechanism import EQUILIBRIUM, Mechanism
 from rfem_jax.description.mechanism.point_forces import AtPoint, PointLoad
+from rfem_jax.description.mechanism.reduced_bodies import ReducedBody
 from rfem_jax.description.mechanism.section_bases import OwnStiffness
 from rfem_jax.description.mechanism.sections import Section
 from rfem_jax.description.parameters.deviations import deviation_unit
@@ -77,9 +78,11 @@ def link_rows(mechanism: Mechanism) -> list[list[str]]:
     """One row per link: name, length, mass with point masses, rfes, section."""
     rows = []
     for link in mechanism.links:
-        rfes = "rigid" if link.elements == 1 else str(link.elements)
+        rfes = "rigid" if link.elements == 1 else "-" if link.reduced else str(link.elements)
         points = str(len(link.point_masses) or "-")
         shape = "rigid body" if link.section is None else section_text(link.section)
+        if isinstance(link.body, ReducedBody):
+            shape = f"reduced body, {len(link.body.interfaces)} interfaces, {link.body.modes} modes"
         if link.stations:
             shape = " to ".join(dict.fromkeys(section_text(section) for section in link.sections))
         if link.axis:

@@ -11,6 +11,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from rfem_jax.description.basics.calls import with_known_arguments
+from rfem_jax.description.basics.errors import InputError
 from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.model.errors import Errors, errors_of
@@ -89,6 +90,11 @@ def equations_of_motion(simulation: Simulation, errors: Errors | None = None) ->
     simulation = simulation_of_call("equations_of_motion", simulation, {})
     made = designed(simulation.model, simulation.design, errors_of(simulation.model, errors))
     model = made.model
+    if model.topology.reduced:
+        raise InputError(
+            "Argument `simulation` must be of a mechanism without reduced bodies, whose mass matrices couple their "
+            "interfaces, but has one; use `simulate` with an implicit method."
+        )
     drive = drive_of_design(model, simulation.drive, simulation.design)
     prepared = prepare(model, made.errors, drive, simulation.start)
     return EquationsOfMotion(

@@ -41,7 +41,8 @@ from rfem_jax.mechanics.dynamics.section_loads import (
     stress_squares,
 )
 from rfem_jax.mechanics.kinematics.motion import Motion
-from rfem_jax.mechanics.model.model import BASE, Model, State, Topology, rfe_fractions
+from rfem_jax.mechanics.model.model import BASE, Model, State, Topology
+from rfem_jax.mechanics.model.superelements import TENSOR_ROWS
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 from rfem_jax.simulation.equations import Numbers, safe_sqrt
 from rfem_jax.simulation.observation import Instant
@@ -76,7 +77,8 @@ class SectionHistory(eqx.Module):
     axial and shear forces N, Q_y, Q_z [N], torque T and bending moments M_y, M_z [N m], which the part with the larger
     x exerts; edge: stresses at points of the section's edge per unit of N, M_y, M_z and T, of a
     coupled section direct and shear stresses per unit of all six, None if not known; modulus:
-    Young's modulus [Pa]."""
+    Young's modulus [Pa]. Of a reduced body there are places of it instead, with the components of stress xx, yy, zz,
+    xy, yz, zx [Pa] as resultants."""
 
     place: Float[Array, "... sections"]
     resultants: Float[Array, "*times 6 sections"]
@@ -97,10 +99,10 @@ class SectionHistory(eqx.Module):
         """Stress [Pa] along the link in the middle of a side of the section, "y", "-y", "z" or "-z" in the link's axes:
         what a strain gauge there feels (theory (17.15))."""
         edge, resultants = self._known_edge, jnp.asarray(self.resultants)
-        if edge.shape[0] == COUPLED_ROWS:
+        if edge.shape[0] in (COUPLED_ROWS, TENSOR_ROWS):
             raise InputError(
                 "Argument `side` must be of a section with sides whose middles are known, but that of this link is not "
-                "symmetric or is given by a matrix; take its largest stress, `stress`."
+                "symmetric or is given by a matrix, or it has a reduced body; take its largest stress, `stress`."
             )
         edge = edge if edge.ndim == 3 else edge[:, :, None]
         outermost = {"y": jnp.min, "-y": jnp.max, "z": jnp.max, "-z": jnp.min}[side]
@@ -203,7 +205,8 @@ def finished_records(
             link = model.topology.links.index(divided(owner)[0])
             edge = section_edges(model, actual, link, saved[name].place[0])
             own = model.section.edges[link] if model.section.edges else None
-            modulus = None if own is None else model.section.stiffness[0, link] * own[0, 0]
+            known = own is not None and own.shape[0] != TENSOR_ROWS
+            modulus = model.section.stiffness[0, link] * own[0, 0] if known else None
             records[name] = SectionHistory(saved[name].place[0], saved[name].resultants, edge, modulus)
         elif kind == "friction_loss":
             joint = model.topology.joints.index(owner)
@@ -239,9 +242,12 @@ def deflection(actual: ModelWithErrors, instant: Placed, name: str, fraction: fl
     link's frame."""
     topology, relative = actual.topology, instant.motion.relative
     link = topology.links.index(name)
-    n, (first, _) = topology.elements[link], topology.ranges[link]
-    lengths, middles = rfe_fractions(n)
+    first, _ = topology.ranges[link]
+    lengths, middles = topology.fractions(link)
     rfe = int(np.searchsorted(np.cumsum(lengths)[:-1], fraction, side="right"))
+    for one in topology.reduced:
+        if one.link == link:
+            rfe = int(np.abs(fraction - np.array([0.0, *one.shares])).argmin())
     if rfe == 0:
         return jnp.zeros(3)
     k = first + rfe - 1

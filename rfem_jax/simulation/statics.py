@@ -212,7 +212,9 @@ def usual_records(model: Model) -> tuple[str, ...]:
     """What is recorded of the flexible links."""
     topology = model.topology
     names = [name for name, n in zip(topology.links, topology.elements, strict=True) if n > 1]
-    return tuple(f"{name}.{kind}" for name in names for kind in ("sections", "deflection"))
+    bodies = {topology.links[one.link] for one in topology.reduced}
+    kinds = ("sections", "deflection")
+    return tuple(f"{name}.{kind}" for name in names for kind in (kinds[1:] if name in bodies else kinds))
 
 
 @partial(Program, nameless=True)

@@ -97,14 +97,14 @@ class Vibration:
         self.topology = model.topology
         self.held = held
         self.gravity = np.asarray(model.gravity)
-        self.mass, self.inverse_root = mass_matrices(constants, self.geometry.scale)
+        self.mass, self.inverse_root = mass_matrices(constants, self.topology, self.geometry.scale)
         self.size = 6 * len(constants.mass)
         deformed = deformation_rates(constants, self.topology)
         stretch = deformed @ self.inverse_root
         # Rates of stretching and shearing of slender links, over the longest link, which are none.
         kept = np.repeat(self.topology.slender_rfes, 6) & (np.arange(6 * self.topology.n_rfes) % 6 < 3)
         self.undeformed = deformed[np.flatnonzero(kept)] / self.geometry.scale
-        springs, roots = spring_matrices(constants)
+        springs, roots = spring_matrices(constants, self.topology)
         damping = np.repeat(constants.damping, 6)
         self.rates = np.unique(constants.damping)
         self.root, self.damping = roots @ stretch, damping

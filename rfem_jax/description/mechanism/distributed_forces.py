@@ -68,6 +68,11 @@ class DistributedForce(LoadOnLink):
     def require_points(self, links: Mapping[str, Link]) -> None:
         self.require_link(self.link, links)
         link = links[self.link]
+        if link.reduced:
+            raise InputError(
+                f"Argument `link` of force `{self.name}` must be a beam or a rigid body, but `{link.name}` has a "
+                "reduced body, on whose interfaces alone forces act; give forces at these."
+            )
         begin, end = self.along(link)
         if not is_known(begin, end, link.length) or 0.0 <= begin < end <= link.length * (1.0 + _ROUNDING):
             return

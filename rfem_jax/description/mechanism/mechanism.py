@@ -407,7 +407,7 @@ class Mechanism(NumberTree, ChecksItself):
 
     def _check_positions(self, joint: Joint, problems: Problems) -> None:
         """Note what lies off its flexible link; links that there are not are told elsewhere."""
-        flexible = {link.name: link for link in self.links if link.flexible}
+        flexible = {link.name: link for link in self.links if link.flexible and not link.reduced}
         for name, field in ((joint.parent, "position"), (joint.child, "child_position")):
             link, position = flexible.get(name), getattr(joint, field)
             if link is None or position is None or not is_known(position[0], link.length):
@@ -467,6 +467,7 @@ def _check_reaches_base(name: str, parents: dict[str, Joint]) -> None:
 
 
 def _link_errors(link: Link) -> tuple[str, ...]:
-    """Names of the errors of a link: one with an axis has no twist, which would be about x, and bows are of links with
-    errors of form."""
-    return (*(error for error in LINK_ERRORS if not link.axis or error != "twist"), *(BOWS if link.form_errors else ()))
+    """Names of the errors of a link: one with an axis or a reduced body has no twist, which would be about x, and bows
+    are of links with errors of form."""
+    own = tuple(error for error in LINK_ERRORS if not link.course or error != "twist")
+    return (*own, *(BOWS if link.form_errors else ()))

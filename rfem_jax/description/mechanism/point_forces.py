@@ -58,7 +58,7 @@ class PointLoad(Force, ChecksItself):
         """Raise InputError unless its points are points of `links` (by name) and not rigidly joined."""
         for name, place in self.ends():
             self.require_link(name, links)
-            if name != "base" and links[name].flexible:
+            if name != "base" and links[name].flexible and not links[name].reduced:
                 length = links[name].length
                 if is_known(place[0], length) and not 0.0 <= place[0] <= length * (1.0 + _ROUNDING):
                     raise InputError(

@@ -77,7 +77,12 @@ class Point(NumberTree, ChecksItself):
                 "which does not move in its frame; leave it out for global axes."
             )
         x = self.place[0]
-        if link.flexible and is_known(x, link.length) and not 0.0 <= x <= link.length * (1.0 + _ROUNDING):
+        if (
+            link.flexible
+            and not link.reduced
+            and is_known(x, link.length)
+            and not 0.0 <= x <= link.length * (1.0 + _ROUNDING)
+        ):
             raise InputError(
                 f"Argument `position` {of} must lie on the flexible link `{self.link}` (x from 0 to {link.length} m), "
                 f"but has x = {x} m; move it, or make the link rigid."

@@ -9,7 +9,9 @@ from typing import Any, NamedTuple
 from rfem_jax.description.basics.errors import InputError, suggestion
 from rfem_jax.description.basics.joint_kinds import KINDS, JointKind
 from rfem_jax.description.mechanism.forces import JointFriction
+from rfem_jax.description.mechanism.links import Link
 from rfem_jax.description.mechanism.mechanism import Mechanism
+from rfem_jax.description.mechanism.reduced_bodies import ReducedBody
 from rfem_jax.description.metrics.catalogue import MetricKind, kind_and_owner, suggested_metric
 from rfem_jax.description.metrics.path_metrics import path_instant
 
@@ -25,9 +27,11 @@ class JointSubject(NamedTuple):
 
 
 class LinkSubject(NamedTuple):
-    """A link: whether the stresses at its section's edge are known."""
+    """A link: whether the stresses at its section's edge are known; reduced: whether it has a reduced body, which has
+    interfaces and no sections between them."""
 
     edge: bool
+    reduced: bool = False
 
 
 class PointSubject(NamedTuple):
@@ -79,13 +83,16 @@ def subjects_of(mechanism: Mechanism) -> MetricSubjects:
         )
         for one in mechanism.joints
     }
-    links = {
-        one.name: LinkSubject(one.section is not None and all(two.edge_stresses() for two in one.sections))
-        for one in mechanism.links
-    }
+    links = {one.name: LinkSubject(_edge_known(one), one.reduced) for one in mechanism.links}
     points = {one.name: PointSubject(bool(driven)) for one in mechanism.points}
     couplings = {one.name: CouplingSubject(one.turns[1]) for one in mechanism.couplings}
     return MetricSubjects(joints, links, points, couplings, tuple(mechanism.named_points))
+
+
+def _edge_known(link: Link) -> bool:
+    if isinstance(link.body, ReducedBody):
+        return link.body.stresses is not None
+    return link.section is not None and all(section.edge_stresses() for section in link.sections)
 
 
 def points_of(names: Iterable[str]) -> tuple[str, ...]:
@@ -157,6 +164,11 @@ def require_metric(name: str, subjects: MetricSubjects, whole: str, of: str = ""
         raise InputError(
             f"Argument `metrics`{of} must fit the {whole}, but `{name}` is of a coupling and it has none; add a table "
             "[[mechanism.couplings]], or `Coupling` objects among its `forces`."
+        )
+    if kind.of == "link" and "@" in owner and isinstance(known.get(wanted), LinkSubject) and known[wanted].reduced:
+        raise InputError(
+            f"Argument `metrics`{of} must be of the end of link `{wanted}`, whose reduced body has no sections between "
+            f"its interfaces, but is `{name}`; write `{wanted}.{kind.name}`, or follow a point at an interface."
         )
     if wanted not in (*known, "*"):
         near = (*known, *subjects.named) if kind.of == "point" else known

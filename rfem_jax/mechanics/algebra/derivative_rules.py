@@ -46,7 +46,8 @@ def implicit_function(
     x for which the linear function is the value; `found`: the unknowns, without derivatives; `inputs`: a tree, with
     everything that is differentiated and that `equations` and `solve` depend on.
     """
-    arrays, static = eqx.partition(inputs, eqx.is_array)
+    leaves, structure = jax.tree.flatten(inputs)  # the things of a description cannot hold masks in their places
+    arrays, static = eqx.partition(leaves, eqx.is_array)
 
     @jax.custom_jvp
     def unknowns(found, arrays):
@@ -61,12 +62,12 @@ def implicit_function(
 
         @jax.jit
         def residual(at, moving):
-            return equations(at, eqx.combine(moving, fixed, static))
+            return equations(at, structure.unflatten(eqx.combine(moving, fixed, static)))
 
         change = jax.jvp(lambda moving: residual(at, moving), (moving,), (along,))[1]
         # Jitted, so that all its places in the solution are traced, batched and transposed once.
         linear = jax.jit(jax.linearize(lambda at: residual(at, moving), at)[1])
         constant = jax.lax.stop_gradient((eqx.combine(moving, fixed), at))
-        return at, -solve(linear, change, eqx.combine(constant[0], static), constant[1])
+        return at, -solve(linear, change, structure.unflatten(eqx.combine(constant[0], static)), constant[1])
 
     return unknowns(found, arrays)

@@ -18,7 +18,6 @@ from rfem_jax.mechanics.algebra import vectors
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.kinematics.motion import Motion, all_frames, motion_of, node_frames
 from rfem_jax.mechanics.model.errors import AssemblyErrors
-from rfem_jax.mechanics.model.form import drawn
 from rfem_jax.mechanics.model.model import Coordinates, Model
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors, apply_errors
 
@@ -56,7 +55,7 @@ def _curved_line(
     """Points along a link with a form, carried by its rfes."""
     topology, form = actual.topology, actual.form
     assert form is not None
-    shares, rfes = drawn(topology.elements[link])
+    shares, rfes = topology.drawn(link)
     first = topology.n_links + topology.ranges[link][0] - 1
     nodes = np.where(rfes == 0, link, first + rfes)
     rest = jnp.concatenate([jnp.zeros((3, topology.n_links)), actual.rest], axis=1)
@@ -150,7 +149,7 @@ def link_ends(actual: ModelWithErrors, motion: Motion) -> tuple[Float[Array, "3 
     topology = actual.topology
     rotation, point = all_frames(topology, motion)
     # From a rigid link's origin the end is a whole length away, from a flexible link's last middle half an rfe.
-    nodes = [l if a == b else topology.n_links + b - 1 for l, (a, b) in enumerate(topology.ranges)]
+    nodes = [topology.end_of(l) for l in range(topology.n_links)]
     if actual.form is not None:
         ends = [actual.form.at(l, jnp.reshape(actual.form.whole(l), 1)).position for l in range(topology.n_links)]
         rest = jnp.concatenate([jnp.zeros((3, topology.n_links)), actual.rest], axis=1)

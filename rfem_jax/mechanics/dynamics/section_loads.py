@@ -18,14 +18,23 @@ from jax import Array
 from jaxtyping import Float
 
 from rfem_jax.mechanics.algebra import vectors
-from rfem_jax.mechanics.algebra.vectors import apply, apply_transposed, cross, product, product_transposed
+from rfem_jax.mechanics.algebra.vectors import (
+    apply,
+    apply_transposed,
+    constant_product,
+    cross,
+    product,
+    product_transposed,
+)
 from rfem_jax.mechanics.dynamics.slender_forces import Moving, constraint_forces
 from rfem_jax.mechanics.elements import elasticity
+from rfem_jax.mechanics.elements.deformed_bodies import deformed
 from rfem_jax.mechanics.forces.element_loads import FrameLoads
 from rfem_jax.mechanics.forces.shaped_lines import shaped_line
 from rfem_jax.mechanics.laws.clearances import clearance_name
 from rfem_jax.mechanics.model.form import bodies_of, point_inertia, segments_of
-from rfem_jax.mechanics.model.model import BASE, Model, State, rfe_fractions
+from rfem_jax.mechanics.model.model import BASE, Model, State
+from rfem_jax.mechanics.model.superelements import TENSOR_ROWS
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors, point_places
 
 COUPLED_ROWS = 12  # of the edge of a coupled section: stresses and shear stresses by six loads
@@ -68,6 +77,8 @@ def loads_of_sections(model: Model, actual: ModelWithErrors, state: State, now: 
     """Internal forces and moments of a link at one instant, at its sdes and at both sides of all that acts on it."""
     with jax.named_scope("section_loads"):
         topology, n = actual.topology, actual.topology.elements[link]
+        if link in [one.link for one in topology.reduced]:
+            return _stresses_of_body(actual, now, link)
         first, _ = topology.ranges[link]
         bodies = _bodies_of(actual, now, link)
         attachments = _attachments(model, actual, now, link, bodies)
@@ -89,14 +100,24 @@ def loads_of_sections(model: Model, actual: ModelWithErrors, state: State, now: 
         return SectionLoads(*(jnp.concatenate(part, axis=-1) for part in zip(*parts, strict=True)))
 
 
+def _stresses_of_body(actual: ModelWithErrors, now: Moving, link: int) -> SectionLoads:
+    """Of a superelement components of stress [Pa] (6, places) in the place of resultants; nothing where they are not
+    known (theory (19.11))."""
+    for one in deformed(actual, now.motion.relative):
+        if one.link == link and one.element.stresses is not None:
+            places = one.element.stresses.shape[0]
+            components = constant_product(one.element.stresses.reshape(6 * places, -1), one.q)
+            return SectionLoads(jnp.zeros(places), components.reshape(places, 6).T)
+    return SectionLoads(jnp.zeros((0,)), jnp.zeros((6, 0)))
+
+
 def loads_of_section(
     model: Model, actual: ModelWithErrors, state: State, now: Moving, link: int, fraction: float
 ) -> SectionLoads:
     """Internal forces and moments of a link at one instant in the one section at a fraction of its length; those beyond
     all that acts on the link there."""
     with jax.named_scope("section_loads"):
-        n = actual.topology.elements[link]
-        lengths, _ = rfe_fractions(n)
+        lengths, _ = actual.topology.fractions(link)
         rfe = int(np.searchsorted(np.cumsum(lengths)[:-1], fraction, side="right"))
         bodies, length = _bodies_of(actual, now, link), _length(actual, link)
         attachments = _attachments(model, actual, now, link, bodies)
@@ -131,11 +152,15 @@ def stress_squares(
     resultants: Float[Array, "*times 6 sections"],
 ) -> Float[Array, "*times points sections"]:
     """Squares of the von Mises stress [Pa^2] at the edge of the sections of a link (theory (8.11)), whose points have 4
-    numbers, or the 12 of a coupled section."""
+    numbers, or the 12 of a coupled section; of a superelement from the components of stress."""
     if edge.shape[0] == COUPLED_ROWS:
         edge = edge if edge.ndim == 3 else edge[:, :, None]
         direct, shear = (jnp.sum(rows * resultants[..., :, None, :], axis=-3) for rows in (edge[:6], edge[6:]))
         return direct**2 + 3.0 * shear**2
+    if edge.shape[0] == TENSOR_ROWS:
+        xx, yy, zz, xy, yz, zx = (resultants[..., i, :] for i in range(6))
+        direct = 0.5 * ((xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2)
+        return (direct + 3.0 * (xy**2 + yz**2 + zx**2))[..., None, :]
     axial, about_y, about_z, by_torque = (edge[i] if edge.ndim == 3 else edge[i, :, None] for i in range(4))
     force, torque, moment_y, moment_z = (resultants[..., i, None, :] for i in (0, 3, 4, 5))
 
@@ -148,7 +173,7 @@ def stress_squares(
 
 def _length(actual: ModelWithErrors, link: int) -> Array:
     """Length [m] of a link with its error."""
-    return actual.beam_middle[link] / rfe_fractions(actual.topology.elements[link])[1][0]
+    return actual.beam_middle[link] / actual.topology.fractions(link)[1][0]
 
 
 def _beam_place(actual: ModelWithErrors, link: int, rfe: int, x: Array) -> Array:
@@ -437,7 +462,7 @@ def _middles(actual: ModelWithErrors, link: int, rfes: Sequence[int]) -> Array:
     """Places [m] of the reference points of rfes along the undeformed link."""
     first, _ = actual.topology.ranges[link]
     if actual.form is not None:
-        middles = rfe_fractions(actual.topology.elements[link])[1]
+        middles = actual.topology.fractions(link)[1]
         return _length(actual, link) * np.array([0.0 if rfe == 0 else middles[rfe] for rfe in rfes])
     return jnp.stack([jnp.zeros(()) if rfe == 0 else actual.rest[first + rfe - 1] for rfe in rfes])
 

@@ -51,7 +51,13 @@ def require_implicit(
     implicit: bool,
     fix: str = "take that method, or give the friction as `constant` and `viscous`.",
 ) -> None:
-    """Raise InputError for a method that cannot integrate the model's friction."""
+    """Raise InputError for a method that cannot integrate the model's friction, or its reduced bodies."""
+    if model.topology.reduced and not implicit:
+        link = model.topology.links[model.topology.reduced[0].link]
+        raise InputError(
+            f'Argument `method` must be "generalised_alpha" with a reduced body (link `{link}`), whose mass matrix '
+            f"couples its interfaces, but is {method!r}; take that method."
+        )
     loaded = [] if model.friction is None else [name for name, law in model.friction.items() if law.load is not None]
     if loaded and not implicit:
         raise InputError(

@@ -40,7 +40,7 @@ from rfem_jax.mechanics.model.named_points import with_named_points
 from rfem_jax.mechanics.model.orientations import quaternion_of_angles
 from rfem_jax.mechanics.model.profiles import profile_of, taper_of
 from rfem_jax.mechanics.model.sources import ForceNodes, source_of
-from rfem_jax.mechanics.model.superelements import Superelement, reduced_link, rigid_part, superelement_of
+from rfem_jax.mechanics.model.superelements import TENSOR_ROWS, Superelement, reduced_link, rigid_part, superelement_of
 from rfem_jax.mechanics.model.warmth import warmed
 
 
@@ -489,8 +489,9 @@ def _require_first_rfes(joints: Sequence[Joint], children: Sequence[_Attachment]
         if child.node >= len(joints):
             raise InputError(
                 f"Argument `child_position` of joint {joint.name!r} must lie on the first rigid "
-                f"finite element of link {joint.child!r}, but is {joint.child_position}: a tree "
-                "joint carries its link there. Swap the link's ends or cut this joint instead."
+                f"finite element of link {joint.child!r}, or at the first interface of its reduced body, but is "
+                f"{joint.child_position}: a tree joint carries its link there. Swap the link's ends or cut "
+                "this joint instead."
             )
 
 
@@ -569,6 +570,8 @@ def _edge(link: Link, plane: str) -> Array | None:
     """Stresses at the edge of a link's section per unit of its loads; None if the section does not give its edge."""
     if not all(section.edge_stresses() for section in link.sections):
         return None
+    if isinstance(link.body, ReducedBody) and link.body.stresses is not None and link.flexible:
+        return jnp.zeros((TENSOR_ROWS, 1))
     points = () if link.section is None else plane_edges(link.section.edge_stresses(), plane)
     return jnp.asarray(array_of([list(point) for point in points]).T, jnp.float64) if points else None
 

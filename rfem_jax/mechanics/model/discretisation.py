@@ -143,7 +143,7 @@ def discretise(mechanism: Mechanism, rfes: int | Mapping[str, int] | None = None
 def _numbers_of_rfes(mechanism: Mechanism, rfes: int | Mapping[str, int] | None) -> dict[str, int]:
     """Numbers of rfes of all links by name, with those that take the place of flexible links' own ones."""
     own = {link.name: link.elements for link in mechanism.links}
-    flexible = [name for name, count in own.items() if count > 1]
+    flexible = [link.name for link in mechanism.links if link.flexible and not link.reduced]
     if rfes is None:
         return own
     given = rfes if isinstance(rfes, Mapping) else dict.fromkeys(flexible, rfes)
@@ -260,6 +260,7 @@ def describe(model: Model) -> Structure:
     of_all, of_rigid = rank(jacobian), rank(rigid)
     constraints, size = jacobian.shape
     size -= 3 * int(np.sum(model.topology.slender_rfes))  # displacements that follow from angles
+    size -= sum(one.idle for one in model.topology.reduced)
     return Structure(
         coordinates=size,
         constraints=constraints,

@@ -40,7 +40,7 @@ from rfem_jax.mechanics.laws.joint_laws import JointLaw
 from rfem_jax.mechanics.laws.joint_springs import CompliantSpring
 from rfem_jax.mechanics.laws.line_loads import LineLoad
 from rfem_jax.mechanics.laws.point_laws import GivenLoad, TimeVector
-from rfem_jax.mechanics.model.form import Form
+from rfem_jax.mechanics.model.form import DRAWN, Form, drawn
 from rfem_jax.mechanics.model.profiles import Profile, Taper
 from rfem_jax.mechanics.model.sources import Source
 from rfem_jax.mechanics.model.summary import model_text
@@ -384,6 +384,14 @@ class Topology(NamedTuple):
         """Whether links have errors of form."""
         return any(name.endswith((".bow_y", ".bow_z")) for name in self.error_names)
 
+    def drawn(self, link: int) -> tuple[Float[np.ndarray, " points"], Int[np.ndarray, " points"]]:
+        """Shares of its length at which a link is drawn, and the numbers of the rfes that hold these."""
+        for one in self.reduced:
+            if one.link == link:
+                shares = np.linspace(0.0, 1.0, DRAWN * max(len(one.shares), 2) + 1)
+                return shares, np.abs(shares[:, None] - np.array([0.0, *one.shares])).argmin(axis=1)
+        return drawn(self.elements[link])
+
     def end_of(self, link: int) -> int:
         """The node at the far end of a link: its last rfe, or the last interface of a superelement."""
         first, last = self.ranges[link]
@@ -425,7 +433,8 @@ class Sections(eqx.Module):
     rotary: rho I_x, rho I_y, rho I_z [kg m].
     damping: time constant eta of the stiffness-proportional damping [s].
     edges: of each link the stresses at points of its section's edge per unit of axial force [1/m^2], of bending moment
-        about y and z, and of torque [1/m^3]; None where the edge is not known.
+        about y and z, and of torque [1/m^3]; None where the edge is not known; zeros of a superelement whose stresses
+        are.
     """
 
     stiffness: Float[Array, "6 links"]

@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from rfem_jax.mechanics.model.form import drawn
 from rfem_jax.mechanics.model.model import Model, Topology
 from rfem_jax.mechanics.model.nominal_geometry import (
     NominalGeometry,
@@ -141,5 +140,5 @@ def _places(
     """Places x [m], of links with forms vectors, on every link of the points of `centre_lines.link_lines`."""
     length = np.asarray(model.length)
     if model.form is not None:
-        return [axis_places(model, l, drawn(n)[0]) for l, n in enumerate(topology.elements)]
+        return [axis_places(model, l, topology.drawn(l)[0]) for l in range(topology.n_links)]
     return [np.concatenate([[0.0], rest[a:b], [length[l]]]) for l, (a, b) in enumerate(topology.ranges)]

@@ -142,7 +142,10 @@ def _is_symmetric(model: Model, state: _SelfStress, normal: np.ndarray) -> bool:
 
 
 def _link_is_symmetric(model: Model, state: _SelfStress, normal: np.ndarray, link: int, inside) -> bool:
-    """Whether the axis of a link with a section lies in the plane, and one of the section's axes across it."""
+    """Whether the axis of a link with a section lies in the plane, and one of the section's axes across it; of a
+    reduced body nobody knows."""
+    if link in [one.link for one in model.topology.reduced]:
+        return False
     if not float(model.section.line_density[link]) > 0.0 and model.topology.elements[link] == 1:
         return True
     rotation, origin = state.placed.rotation[link], state.placed.origin[link]

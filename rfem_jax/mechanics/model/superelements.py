@@ -19,14 +19,26 @@ from jaxtyping import Array, Float
 from rfem_jax.description.basics.numbers import Number
 from rfem_jax.description.mechanism.reduced_bodies import ReducedBody
 
+TENSOR_ROWS = 6  # of what stands for the edge of a section, where stresses are known at places of a body
+
 
 class ReducedLink(NamedTuple):
     """The static part of a superelement. link: its index; shares: of the length from interface to interface, at which
-    these are, but for the first one; carriers: number of the free rfes that carry modes."""
+    these are, but for the first one; modes: number of their amplitudes."""
 
     link: int
     shares: tuple[float, ...]
-    carriers: int
+    modes: int
+
+    @property
+    def carriers(self) -> int:
+        """Number of the free rfes that carry modes, six each."""
+        return -(-self.modes // 6)
+
+    @property
+    def idle(self) -> int:
+        """Number of coordinates that are left over."""
+        return 6 * self.carriers - self.modes
 
     @property
     def middles(self) -> Float[np.ndarray, " nodes"]:
@@ -40,7 +52,7 @@ class Superelement(eqx.Module):
 
     mass, stiffness (k, k): M and K; damping [s]: eta; translation (3, k): C, integral of the displacements over the
     mass; rotation (3, k): H, that of their moments about the first interface; inertia (3, 3, k): G, change of the
-    inertia about it.
+    inertia about it; stresses (places, 6, k): xx, yy, zz, xy, yz, zx, None where they are not known.
     """
 
     mass: Float[Array, "k k"]
@@ -49,6 +61,7 @@ class Superelement(eqx.Module):
     translation: Float[Array, "3 k"]
     rotation: Float[Array, "3 k"]
     inertia: Float[Array, "3 3 k"]
+    stresses: Float[Array, "places 6 k"] | None = None
 
 
 class RigidPart(NamedTuple):
@@ -63,7 +76,7 @@ def reduced_link(index: int, body: ReducedBody) -> ReducedLink:
     """The static part of the superelement of a link."""
     places = np.asarray(body.interfaces)
     along = np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))
-    return ReducedLink(index, tuple((along / along[-1]).tolist()), -(-body.modes // 6))
+    return ReducedLink(index, tuple((along / along[-1]).tolist()), body.modes)
 
 
 def rigid_part(body: ReducedBody) -> RigidPart:
@@ -92,7 +105,8 @@ def superelement_of(body: ReducedBody, damping: Number) -> Superelement:
         momentum[3:],
         2.0 * trace[None, None] * np.eye(3)[:, :, None] - symmetric,
     )
-    return Superelement(*(jnp.asarray(one, jnp.float64) for one in arrays))
+    stresses = None if body.stresses is None else jnp.asarray(body.stresses @ onto, jnp.float64)
+    return Superelement(*(jnp.asarray(one, jnp.float64) for one in arrays), stresses)
 
 
 def _coordinates(body: ReducedBody) -> tuple[Float[np.ndarray, "N k"], np.ndarray]:

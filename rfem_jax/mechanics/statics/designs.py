@@ -328,7 +328,10 @@ def _arrays_of_design(
     fits = gap <= blueprint.closing_tolerance * jnp.max(made.length)
     pairs = [(one, x) for (one, _), x in zip(named, actual) if one.full in values or one.full in deviations]
     possible = _possible(blueprint.filled(actual), pairs)
-    flexible = np.flatnonzero(np.array(base.topology.elements) > 1)  # rigid ones may have no section
+    bodies = [one.link for one in base.topology.reduced]
+    # Rigid links may have no section, and reduced bodies have none.
+    flexible = [l for l, n in enumerate(base.topology.elements) if n > 1 and l not in bodies]
+    flexible = np.array(flexible, dtype=int)
     possible = possible & jnp.all(made.section.stiffness[:, flexible] > 0.0)
     if plan.arms:
         possible = possible & (_longest_arm(made) <= LONGEST_ARM)

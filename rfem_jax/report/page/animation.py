@@ -22,7 +22,6 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from rfem_jax.mechanics.model.form import drawn
 from rfem_jax.mechanics.model.model import BASE
 from rfem_jax.report.annotations import Run
 from rfem_jax.report.page.acting import ACTING, acting_arrays, describe_acting, owner_of
@@ -52,7 +51,10 @@ def record_animation(runs: Mapping[str, Run]) -> tuple[dict[str, Any], list[Arra
     if len(known) < len(runs) or not known or known[0].model is None:
         return None
     topology = known[0].model.topology
-    counts = [len(drawn(n)[0]) if topology.shaped else 2 if n == 1 else n + 1 for n in topology.elements]
+    counts = [
+        len(topology.drawn(l)[0]) if topology.shaped else 2 if n == 1 else n + 1
+        for l, n in enumerate(topology.elements)
+    ]
     acting = describe_acting(known[0])
     paths = [
         {"name": name, "link": topology.links[topology.link_of(one.node)]}

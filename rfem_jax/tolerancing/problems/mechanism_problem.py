@@ -164,7 +164,10 @@ def _subjects_of(model: Model) -> MetricSubjects:
         )
         for name, j in ((name, topology.joints.index(name)) for name in model.joint_names)
     }
-    links = {name: LinkSubject(bool(edges) and edges[l] is not None) for l, name in enumerate(topology.links)}
+    reduced = {one.link for one in topology.reduced}
+    links = {
+        name: LinkSubject(bool(edges) and edges[l] is not None, l in reduced) for l, name in enumerate(topology.links)
+    }
     points = {name: PointSubject(bool(driven)) for name in model.points or {}}
     turns = {name: not topology.slides[one.coordinates[1]] for name, one in (model.couplings or {}).items()}
     couplings = {name: CouplingSubject(turn) for name, turn in turns.items()}

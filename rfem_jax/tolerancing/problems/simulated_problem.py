@@ -146,7 +146,9 @@ class Problem(MechanismProblem):
         """True if no flexible link has damping: derivatives of mean-square forces then depend on
         the phase of undamped vibrations (docs/theory/9_symmetry.md)."""
         flexible = np.array(self.model.topology.elements) > 1
-        return bool(flexible.any() and not np.asarray(self.model.section.damping)[flexible].any())
+        damping = [*np.asarray(self.model.section.damping)[flexible]]
+        damping += [float(one.damping) for one in self.model.superelements or ()]
+        return bool(flexible.any() and not any(damping))
 
     @property
     def strikes(self) -> bool:
