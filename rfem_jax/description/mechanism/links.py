@@ -39,6 +39,7 @@ from rfem_jax.description.basics.units import DERIVED, Quantity, short
 from rfem_jax.description.mechanism.axes import AxisPoint, curve_of, require_axis, require_curve
 from rfem_jax.description.mechanism.curves import Curve
 from rfem_jax.description.mechanism.materials import Material
+from rfem_jax.description.mechanism.reduced_bodies import ReducedBody
 from rfem_jax.description.mechanism.rigid_bodies import RigidBody
 from rfem_jax.description.mechanism.section_bases import OwnStiffness, SectionProperties, require_triangle
 from rfem_jax.description.mechanism.sections import SECTION_KINDS, Section
@@ -107,14 +108,16 @@ class Link(NumberTree, ChecksItself):
 
     Args:
         name: a word, other than "base".
-        length: L [m], > 0; of a link with an axis that along it, and left out.
+        length: L [m], > 0; of a link with an axis that along it, of one with a reduced body that from interface to
+            interface, and left out.
         section: a Rectangle, a GivenSection or of another shape (a rigid link needs it for its mass, unless it has a
             body), of a link with stations that at its start.
         material: a Material; None with a section that states its own stiffnesses.
         rigid: True makes the link one rigid body.
         rfes: number n of rigid finite elements of a flexible link; 1 is the same as rigid.
         point_masses: PointMass objects on the link.
-        body: a RigidBody in the place of section and material; the link is rigid.
+        body: in the place of section and material a RigidBody, of a rigid link, or a ReducedBody, by the matrices of
+            its finite element model.
         temperature: its difference to the temperature of assembly [K], by which it and all places on it grow by the
             share thermal_expansion * temperature.
         thermal_expansion: alpha [1/K]; None: that of its material.
@@ -137,7 +140,7 @@ class Link(NumberTree, ChecksItself):
     rigid: bool = False
     rfes: int = _USUAL_RFES
     point_masses: tuple[PointMass, ...] = ()
-    body: RigidBody | None = None
+    body: RigidBody | ReducedBody | None = None
     temperature: Quantity | None = None
     thermal_expansion: Quantity | None = None
     temperature_gradient_y: Quantity | None = None
@@ -163,6 +166,8 @@ class Link(NumberTree, ChecksItself):
         checks.convert("form_errors", require_flag, f"`form_errors` {of}")
         if self.axis:
             checks.relation(("axis", "smooth"), self._take_axis, of)
+        elif self.reduced:
+            checks.relation((), self._take_length_along, "body", of)
         else:
             checks.convert("length", _length, of)
         if self.body is None:
@@ -171,11 +176,13 @@ class Link(NumberTree, ChecksItself):
             checks.relation(("section", "material"), self._check_material, of)
         else:
             write = "write for example RigidBody(0.5, (0.05, 0.0, 0.0), (1e-4, 3e-4, 3e-4))."
-            checks.convert("body", require_instance, f"`body` {of}", RigidBody, write)
+            checks.convert("body", require_instance, f"`body` {of}", (RigidBody, ReducedBody), write)
             checks.relation(("section", "material", "body"), self._check_body, of)
         for name, field in self.numbers.items():
             if getattr(self, name) is not None:
                 checks.convert(name, read_number, field, f"`{name}` {of}")
+        if self.reduced:
+            checks.relation((), self._check_reduced, of)
         for name in ("temperature", *GRADIENTS):
             checks.relation(("material", name, "thermal_expansion"), self._check_temperature, name, of)
         checks.convert("rigid", require_flag, f"`rigid` {of}")
@@ -208,6 +215,15 @@ class Link(NumberTree, ChecksItself):
                 "a section needs one for its stiffness and its mass."
             )
 
+    def _check_reduced(self, of: str) -> None:
+        """What the matrices of a body know nothing of."""
+        for name in ("temperature", "thermal_expansion", *GRADIENTS, "flexibility"):
+            if getattr(self, name) is not None:
+                raise InputError(
+                    f"Argument `{name}` {of} must be left out where the link has a reduced body, whose matrices do not "
+                    f"say what it changes, but was {short(getattr(self, name))}; leave it out."
+                )
+
     def _check_temperature(self, name: str, of: str) -> None:
         if getattr(self, name) is not None and self.expansion is None:
             raise InputError(
@@ -235,10 +251,13 @@ class Link(NumberTree, ChecksItself):
                 "remove one of the two."
             )
         require_curve(self.axis, self.smooth, of)
+        self._take_length_along("axis", of)
+
+    def _take_length_along(self, source: str, of: str) -> None:
         along, given = self.curve.length, self.length
         if given is not None and not (is_known(given, along) and abs(given / along - 1.0) < SAME_LENGTH):
             raise InputError(
-                f"Argument `length` {of} must be left out where `axis` says where the link leads, but was "
+                f"Argument `length` {of} must be left out where `{source}` says where the link leads, but was "
                 f"{short(given)}; remove it."
             )
         object.__setattr__(self, "length", along if traced(along) else float(along))
@@ -284,13 +303,13 @@ class Link(NumberTree, ChecksItself):
                 )
         if self.rfes not in (1, _USUAL_RFES):
             raise InputError(
-                f"Argument `rfes` {of} must be left out where the link has a body, which is rigid, but was "
+                f"Argument `rfes` {of} must be left out where the link has a body, which is not divided, but was "
                 f"{self.rfes!r}; remove it, or give a section and a material."
             )
 
     def _check_point_mass(self, mass: PointMass, of: str) -> None:
         known = is_known(mass.position[0], self.length)
-        if self.flexible and known and not 0.0 <= mass.position[0] <= self.length * (1.0 + 1e-12):
+        if self.flexible and not self.reduced and known and not 0.0 <= mass.position[0] <= self.length * (1.0 + 1e-12):
             raise InputError(
                 f"Argument `point_masses` {of} must lie on the flexible link "
                 f"(x from 0 to {self.length} m), but one has x = {mass.position[0]} m; "
@@ -300,7 +319,22 @@ class Link(NumberTree, ChecksItself):
     @property
     def elements(self) -> int:
         """Number of rigid finite elements; 1 for a rigid link."""
-        return 1 if self.rigid or self.body is not None else self.rfes
+        if self.rigid or isinstance(self.body, RigidBody):
+            return 1
+        return self.rfes if self.body is None else self.body.nodes
+
+    @property
+    def reduced(self) -> bool:
+        """True if the link has a reduced body."""
+        return isinstance(self.body, ReducedBody)
+
+    @property
+    def course(self) -> tuple[AxisPoint, ...]:
+        """Where a link leads that is not along x: the points of its axis, or the interfaces of its reduced body."""
+        if not isinstance(self.body, ReducedBody):
+            return self.axis
+        _, *others = np.asarray(self.body.interfaces).tolist()
+        return tuple(AxisPoint(tuple(place)) for place in others)
 
     @property
     def expansion(self) -> Number | None:
@@ -329,7 +363,7 @@ class Link(NumberTree, ChecksItself):
     @property
     def curve(self) -> Curve:
         """Its axis, by the length along it."""
-        axis = self.axis or (AxisPoint((self.length, 0.0, 0.0)),)
+        axis = self.course or (AxisPoint((self.length, 0.0, 0.0)),)
         return curve_of(axis, self.smooth and bool(self.axis))
 
     @property
@@ -359,7 +393,10 @@ class Link(NumberTree, ChecksItself):
     @property
     def mass(self) -> Number:
         """All mass [kg], that of point masses included."""
-        own = self.beam_mass if self.body is None else self.body.mass
+        if isinstance(self.body, ReducedBody):
+            own = self.body.total_mass
+        else:
+            own = self.beam_mass if self.body is None else self.body.mass
         return own + sum(point.mass for point in self.point_masses)
 
 

@@ -7,15 +7,18 @@ rotations [rad] along and about the axes of the link, then the amplitudes of the
 Source: theory (19.1), (19.2); Craig and Bampton, AIAA J. 6 (1968) 1313-1319.
 """
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import jax
 import numpy as np
+from jax.tree_util import GetAttrKey
 from jaxtyping import Float
 
 from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError
-from rfem_jax.description.basics.numbers import NOT_NEGATIVE, Fields, NumberTree, read_number
+from rfem_jax.description.basics.numbers import NOT_NEGATIVE, Fields, read_number
 from rfem_jax.description.basics.units import short
 
 _SYMMETRY = 1e-5  # of the largest entry of both rows: files are written with six digits
@@ -26,7 +29,7 @@ Matrix = Sequence[Sequence[float]]
 
 
 @dataclass(frozen=True, eq=False)
-class ReducedBody(NumberTree, ChecksItself):
+class ReducedBody(ChecksItself):
     """A flexible body of any shape, by the reduced matrices of its finite element model.
 
     Args:
@@ -76,16 +79,16 @@ class ReducedBody(NumberTree, ChecksItself):
             size = len(getattr(self, name))
             if size < 6 * n or size != rows:
                 raise InputError(
-                    f"Argument `{name}` of a reduced body must have six rows for each of its {n} interfaces and one for "
-                    f"each mode, as many as `mass`, but has {size} (`mass`: {rows}); leave out rows of other nodes."
+                    f"Argument `{name}` of a reduced body must have six rows for each of its {n} interfaces and one "
+                    f"for each mode, as many as `mass`, but has {size} (`mass`: {rows}); leave out rows of other nodes."
                 )
-        if rows == 6:
+        if n == 1:
             raise InputError(
-                "Argument `interfaces` of a reduced body must be two or more where it has no modes, but is one, with "
-                "which the body is rigid; write a body with mass, centre and inertia."
+                "Argument `interfaces` of a reduced body must be two or more, but is one; give a free end an "
+                "interface, too, and write a rigid body with mass, centre and inertia."
             )
         apart = np.linalg.norm(np.asarray(self.interfaces)[:, None] - np.asarray(self.interfaces)[None], axis=2)
-        if n > 1 and apart[~np.eye(n, dtype=bool)].min() <= SAME_PLACE * apart.max():
+        if apart[~np.eye(n, dtype=bool)].min() <= SAME_PLACE * apart.max():
             raise InputError(
                 "Argument `interfaces` of a reduced body must lie apart, but two are at one place; join them in the "
                 "finite element model."
@@ -118,8 +121,8 @@ class ReducedBody(NumberTree, ChecksItself):
             motion = ("T_x", "T_y", "T_z", "R_x", "R_y", "R_z")[int(share.argmax())]
             raise InputError(
                 "Argument `stiffness` of a reduced body must exert no forces in rigid motions of its interfaces, but "
-                f"{share.max():.2g} of its entries remain in the motion {motion}; check the order of the rows (T_x, T_y,"
-                " T_z, R_x, R_y, R_z of every interface, then modes between fixed interfaces), the units and the "
+                f"{share.max():.2g} of its entries remain in the motion {motion}; check the order of the rows (T_x, "
+                "T_y, T_z, R_x, R_y, R_z of every interface, then modes between fixed interfaces), the units and the "
                 "places of the interfaces."
             )
         inertia = rigid.T @ mass @ rigid
@@ -127,7 +130,7 @@ class ReducedBody(NumberTree, ChecksItself):
         if not total > 0.0 or np.abs(inertia[:3, :3] - total * np.eye(3)).max() > _RIGID * total:
             raise InputError(
                 "Argument `mass` of a reduced body must be one mass in all directions of a rigid motion, but is "
-                f"{short(np.diag(inertia)[:3].tolist())} kg along x, y and z; check the order of its rows and the units."
+                f"{short(np.diag(inertia)[:3].tolist())} kg along x, y and z; check the order of its rows and units."
             )
         for name, matrix, least in (("mass", mass, 0), ("stiffness", stiffness, 6)):
             scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
@@ -136,7 +139,7 @@ class ReducedBody(NumberTree, ChecksItself):
                 raise InputError(
                     f"Argument `{name}` of a reduced body must be that of a body, but has an eigenvalue of "
                     f"{values[0] if values[0] < -_SYMMETRY else values[least]:.2g} where its diagonal is 1"
-                    f"{', beside its six rigid motions' if least else ''}; give all rows with the digits that they have."
+                    f"{', beside its six rigid motions' if least else ''}; give all rows with all their digits."
                 )
 
     @property
@@ -155,6 +158,17 @@ class ReducedBody(NumberTree, ChecksItself):
         return float(np.asarray(self.mass).dot(self.rigid_motions[:, 0]).dot(self.rigid_motions[:, 0]))
 
     @property
+    def mass_centre(self) -> Float[np.ndarray, "3"]:
+        """Its mass centre [m]."""
+        tensor = self.rigid_motions.T @ np.asarray(self.mass) @ self.rigid_motions
+        return np.array([tensor[5, 1], tensor[3, 2], tensor[4, 0]]) / self.total_mass
+
+    @property
+    def nodes(self) -> int:
+        """Number of nodes of six coordinates that hold those of its interfaces and its modes."""
+        return len(self.interfaces) - (-self.modes // 6)
+
+    @property
     def modes(self) -> int:
         """Number of its modes m."""
         return len(self.mass) - 6 * len(self.interfaces)
@@ -163,6 +177,13 @@ class ReducedBody(NumberTree, ChecksItself):
         arrays = (np.asarray(one) for one in (self.interfaces, self.mass, self.stiffness))
         more = (None if one is None else one.tobytes() for one in (self.moments, self.stresses))
         return (*(one.tobytes() for one in arrays), *more, self.stress_names)
+
+    def with_fields(self, **values: Any) -> "ReducedBody":
+        """A copy with other values in some fields; nothing is checked."""
+        other = copy.copy(self)
+        for name, value in values.items():
+            object.__setattr__(other, name, value)
+        return other
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, ReducedBody):
@@ -174,6 +195,14 @@ class ReducedBody(NumberTree, ChecksItself):
 
     def __repr__(self) -> str:
         return f"ReducedBody({len(self.interfaces)} interfaces, {self.modes} modes, {self.total_mass:.4g} kg)"
+
+
+# As the other things of a description, a pytree whose leaves are its numbers; its matrices do not change.
+jax.tree_util.register_pytree_with_keys(
+    ReducedBody,
+    lambda body: (((GetAttrKey("damping"), body.damping),), body.with_fields(damping=0.0)),
+    lambda body, numbers: body.with_fields(damping=next(iter(numbers))),
+)
 
 
 def _array(given: Any, shape: tuple[int | None, ...], name: str) -> Any:
@@ -200,8 +229,8 @@ def _symmetric(given: Any, name: str) -> Any:
     apart = np.abs(matrix - matrix.T)
     if (apart > _SYMMETRY * np.maximum(size[:, None] * size[None], 1e-300)).any():
         raise InputError(
-            f"Argument `{name}` of a reduced body must be symmetric, but entries differ by {apart.max():.3g}; give both "
-            "halves."
+            f"Argument `{name}` of a reduced body must be symmetric, but entries differ by {apart.max():.3g}; "
+            "give both halves."
         )
     return 0.5 * (matrix + matrix.T)
 

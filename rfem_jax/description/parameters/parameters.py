@@ -28,6 +28,7 @@ from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.links import GRADIENTS, Link
 from rfem_jax.description.mechanism.mechanism import Mechanism
 from rfem_jax.description.mechanism.point_forces import BetweenPoints, LoadOnLink, PointSpringTable
+from rfem_jax.description.mechanism.reduced_bodies import ReducedBody
 from rfem_jax.description.mechanism.rigid_bodies import RigidBody
 from rfem_jax.description.mechanism.sections import Tube
 from rfem_jax.description.parameters.parts import Parts, Path, number_at, parts_of
@@ -196,7 +197,7 @@ def _fields(
 def _of_links(parts: Parts) -> Iterator[Parameter]:
     for i, link in enumerate(parts.links):
         owner, path = ("link", link.name), ("links", i)
-        if not link.axis:
+        if not link.course:
             yield _parameter(owner, "length", ("length", POSITIVE), [(*path, "length")])
         yield from _fields(owner, link, link.numbers, [path])
         for n, point in enumerate(link.axis):
@@ -254,8 +255,10 @@ def _of_matrix(owner: tuple[str, str], users: Sequence[Path], before: str) -> It
             yield _parameter(owner, f"{before}stiffness.{i + 1}{j + 1}", entry_field(i, j), at)
 
 
-def _of_body(owner: tuple[str, str], body: RigidBody, path: Path) -> Iterator[Parameter]:
+def _of_body(owner: tuple[str, str], body: RigidBody | ReducedBody, path: Path) -> Iterator[Parameter]:
     yield from _fields(owner, body, body.numbers, [path])
+    if isinstance(body, ReducedBody):
+        return
     if not isinstance(body.inertia[0], tuple):
         yield from _fields(owner, body, {"inertia": ("moment_of_inertia", POSITIVE)}, [path])
         return

@@ -90,9 +90,9 @@ def _with_positions(joint: Joint) -> Joint:
 
 def measured(parts: Parts) -> Parts:
     """The parts with the lengths of links with an axis as they follow from it."""
-    if not any(link.axis for link in parts.links):
+    if not any(link.course for link in parts.links):
         return parts
-    links = (link.with_fields(length=link.curve.length) if link.axis else link for link in parts.links)
+    links = (link.with_fields(length=link.curve.length) if link.course else link for link in parts.links)
     return replace(parts, links=tuple(links))
 
 

@@ -24,7 +24,8 @@ BLOCK = 8  # rfes, at most
 
 
 class Factored(NamedTuple):
-    """A factored system in n blocks of g rfes; the last block is padded with uncoupled rfes.
+    """A factored system in n blocks of g rfes; the last block is padded with uncoupled rfes. One block may be of any
+    size.
 
     inverse (n, 6 g, 6 g): of each diagonal block after elimination of the blocks before it; from_before,
     from_after (n, 6 g, 6): change of a block's solution per unit solution of the last rfe of the block
@@ -68,8 +69,7 @@ def factor(diagonal: Float[Array, "m 6 6"], lower: Float[Array, "m 6 6"]) -> Fac
 
 def solve(factored: Factored, loads: Float[Array, "6 m *columns"]) -> Float[Array, "6 m *columns"]:
     """Solution for one or more columns of loads."""
-    m = loads.shape[1]
-    n, g = partition(m)
+    m, n, g = loads.shape[1], factored.inverse.shape[0], factored.inverse.shape[1] // 6
     if n == 1:
         return _split_by_rfe(constant_product(factored.inverse[0], by_component(loads)))
     padding = jnp.zeros((6, n * g - m) + loads.shape[2:])

@@ -26,6 +26,7 @@ from rfem_jax.mechanics.algebra import vectors
 from rfem_jax.mechanics.algebra.vectors import apply, apply_transposed, cross, dot, scaled
 from rfem_jax.mechanics.dynamics.dynamics import Accelerations, link_axes
 from rfem_jax.mechanics.elements import elasticity
+from rfem_jax.mechanics.elements.deformed_bodies import DeformationLoads, deformation_loads, deformed, kinetic_energy
 from rfem_jax.mechanics.forces.element_loads import FrameLoads, frame_energy, frame_work
 from rfem_jax.mechanics.forces.friction import joint_wrenches
 from rfem_jax.mechanics.forces.joint_forces import (
@@ -309,12 +310,20 @@ def _rows(topology: Topology) -> list[slice]:
 
 
 def inertial_loads(
-    actual: ModelWithErrors, motion: Motion, angular: Float[Array, "3 nodes"], linear: Float[Array, "3 nodes"]
+    actual: ModelWithErrors,
+    motion: Motion,
+    angular: Float[Array, "3 nodes"],
+    linear: Float[Array, "3 nodes"],
+    accelerations: Coordinates | None = None,
 ) -> tuple[Float[Array, "3 nodes"], Float[Array, "3 nodes"]]:
     """Rate of momentum minus weight of every node: force [N] and moment [N m] at its reference point, in link
-    axes, for accelerations likewise."""
+    axes, for accelerations likewise; `accelerations`: second derivatives of the coordinates, of which superelements
+    need theirs, None at rest."""
     topology = actual.topology
     spin, gravity = link_axes(actual, motion)
+    more = None
+    if actual.superelements is not None:
+        more = superelement_loads(actual, motion, angular, linear, accelerations)
     spin = jnp.concatenate([spin, spread(topology, spin) + motion.relative.angular], axis=1)
     gravity = jnp.concatenate([gravity, spread(topology, gravity)], axis=1)
     identity = jnp.broadcast_to(jnp.asarray(vectors.IDENTITY)[:, :, None], (3, 3, topology.n_links))
@@ -325,7 +334,27 @@ def inertial_loads(
     body_spin, body_angular = apply_transposed(rotation, spin), apply_transposed(rotation, angular)
     inertia = actual.inertia
     rate = apply(inertia, body_angular) + cross(body_spin, apply(inertia, body_spin))
-    return force, apply(rotation, rate) + cross(centre, force)
+    moment = apply(rotation, rate) + cross(centre, force)
+    if more is None:
+        return force, moment
+    n = topology.n_links
+    return (
+        jnp.concatenate([force[:, :n] + more.force, force[:, n:]], axis=1),
+        jnp.concatenate([moment[:, :n] + more.moment, moment[:, n:]], axis=1),
+    )
+
+
+def superelement_loads(
+    actual: ModelWithErrors,
+    motion: Motion,
+    angular: Float[Array, "3 nodes"],
+    linear: Float[Array, "3 nodes"],
+    accelerations: Coordinates | None = None,
+) -> DeformationLoads:
+    """What the deformation of superelements adds to `inertial_loads`, and their generalised loads."""
+    n, (spin, gravity) = actual.topology.n_links, link_axes(actual, motion)
+    elastic = None if accelerations is None else accelerations.elastic
+    return deformation_loads(actual, motion.relative, spin, angular[:, :n], linear[:, :n] - gravity, elastic)
 
 
 def loads_beyond_elements(
@@ -367,7 +396,30 @@ def momentum(actual: ModelWithErrors, state: State) -> tuple[Float[Array, "3"], 
     rotation, centre, velocity, spin = velocities(actual, motion_of(actual, state))
     linear = scaled(actual.mass, velocity)
     spin_momentum = apply(rotation, apply(actual.inertia, apply_transposed(rotation, spin)))
-    return jnp.sum(linear, axis=1), jnp.sum(spin_momentum + cross(centre, linear), axis=1)
+    total, about_origin = jnp.sum(linear, axis=1), jnp.sum(spin_momentum + cross(centre, linear), axis=1)
+    if actual.superelements is not None:
+        motion = motion_of(actual, state)
+        spin, velocity = _origin_velocities(motion)
+        for one in deformed(actual, motion.relative):
+            l, axes = one.link, motion.links.rotation[:, :, one.link]
+            linear, turned = (apply(axes, part) for part in one.momenta(spin[:, l], velocity[:, l]))
+            total, about_origin = total + linear, about_origin + turned + cross(motion.links.point[:, l], linear)
+    return total, about_origin
+
+
+def _origin_velocities(motion: Motion) -> tuple[Float[Array, "3 links"], Float[Array, "3 links"]]:
+    """Angular velocities of the links, and velocities of their origins, in their axes."""
+    links = motion.links
+    linear = links.velocity[3:] + cross(links.velocity[:3], links.point)
+    return apply_transposed(links.rotation, links.velocity[:3]), apply_transposed(links.rotation, linear)
+
+
+def _moved_mass(actual: ModelWithErrors, motion: Motion) -> Float[Array, "3"]:
+    """First moment [kg m] by which deformations of superelements move the mass, in global axes."""
+    moved = jnp.zeros(3)
+    for one in deformed(actual, motion.relative):
+        moved = moved + apply(motion.links.rotation[:, :, one.link], one.offset)
+    return moved
 
 
 def energies(actual: ModelWithErrors, state: State) -> Energies:
@@ -378,10 +430,16 @@ def energies(actual: ModelWithErrors, state: State) -> Energies:
     translation = actual.mass * dot(velocity, velocity)
     rotational = dot(body_spin, apply(actual.inertia, body_spin))
     from_datum = centre - actual.datum[:, None]
-    return Energies(
+    found = Energies(
         kinetic=0.5 * jnp.sum(translation + rotational),
         elastic=_elastic_energy(actual, state.position, motion),
         gravity=-jnp.sum(actual.mass * dot(actual.gravity[:, None], from_datum)),
+    )
+    if actual.superelements is None:
+        return found
+    return found._replace(
+        kinetic=found.kinetic + kinetic_energy(actual, motion.relative, *_origin_velocities(motion)),
+        gravity=found.gravity - dot(actual.gravity, _moved_mass(actual, motion)),
     )
 
 
@@ -433,14 +491,15 @@ def momentum_residual(
 
     tangents = (position_rate(actual.topology, state.position, state.velocity), accelerations)
     _, (linear_rate, angular_rate) = jax.jvp(momentum_at, (state.position, state.velocity), tangents)
-    _, centre, _, _ = velocities(actual, motion_of(actual, state))
+    motion = motion_of(actual, state)
+    _, centre, _, _ = velocities(actual, motion)
     weight = actual.mass[None] * actual.gravity[:, None]
+    about_origin = jnp.sum(cross(centre, weight), axis=1)
+    if actual.superelements is not None:
+        about_origin = about_origin + cross(_moved_mass(actual, motion), actual.gravity)
     if at_nodes is not None:
         base = base + at_nodes.wrench
-    return (
-        base[3:] + jnp.sum(weight, axis=1) - linear_rate,
-        base[:3] + jnp.sum(cross(centre, weight), axis=1) - angular_rate,
-    )
+    return base[3:] + jnp.sum(weight, axis=1) - linear_rate, base[:3] + about_origin - angular_rate
 
 
 def static_state(topology: Topology, position: Coordinates) -> State:

@@ -23,6 +23,7 @@ from jaxtyping import Float
 from rfem_jax.mechanics.algebra.reordering import reorder
 from rfem_jax.mechanics.algebra.vectors import apply_transposed, cross, invert_block, product
 from rfem_jax.mechanics.elements import exact_elements
+from rfem_jax.mechanics.elements.deformed_bodies import spring_energy, spring_forces
 from rfem_jax.mechanics.elements.exact_elements import (
     SpringBlocks,
     from_left,
@@ -77,9 +78,14 @@ def generalised_forces(
             deflected = exact_elements.deflections(actual, state.position.elastic[:3], relative)
             force, moment = exact_elements.wrenches(actual, deflected)
             forces = jnp.concatenate([force, apply_transposed(relative.rate_matrix, moment)])
-            return forces, _dissipated(actual, deflected.rate)
-        stretch, rate = _linear_deflections(actual, state)
-        return _linear_forces(actual, stretch, rate), _dissipated(actual, rate)
+            dissipated = _dissipated(actual, deflected.rate)
+        else:
+            stretch, rate = _linear_deflections(actual, state)
+            forces, dissipated = _linear_forces(actual, stretch, rate), _dissipated(actual, rate)
+        if actual.superelements is None:
+            return forces, dissipated
+        of_bodies, also = spring_forces(actual, relative)
+        return forces + of_bodies, dissipated + also
 
 
 def deflections(actual: ModelWithErrors, state: State) -> tuple[Float[Array, "6 rfes"], Float[Array, "6 rfes"]]:
@@ -127,7 +133,8 @@ def elastic_energy(actual: ModelWithErrors, position: Coordinates) -> Float[Arra
     at_rest = State(position, jax.tree.map(jnp.zeros_like, position))
     stretch, _ = deflections(actual, at_rest)
     if actual.topology.shaped:
-        return 0.5 * jnp.sum(stress_of(actual, stretch) * stretch, axis=(0, 1))
+        energy = 0.5 * jnp.sum(stress_of(actual, stretch) * stretch, axis=(0, 1))
+        return energy if actual.superelements is None else energy + spring_energy(actual, position)
     return 0.5 * jnp.sum(actual.stiffness * stretch**2, axis=(0, 1))
 
 
@@ -144,7 +151,10 @@ def stiffness_blocks(actual: ModelWithErrors) -> SpringBlocks:
 
 def dissipated_power(actual: ModelWithErrors, state: State) -> Float[Array, ""]:
     """Power that all dampers dissipate [W]."""
-    return _dissipated(actual, deflections(actual, state)[1])
+    dissipated = _dissipated(actual, deflections(actual, state)[1])
+    if actual.superelements is None:
+        return dissipated
+    return dissipated + spring_forces(actual, relative_motion(actual, state.position, state.velocity))[1]
 
 
 def _dissipated(actual: ModelWithErrors, rate: Array) -> Array:

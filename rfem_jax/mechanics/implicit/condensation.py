@@ -33,12 +33,13 @@ from jaxtyping import Float
 
 from rfem_jax.mechanics.algebra import vectors
 from rfem_jax.mechanics.algebra.block_tridiagonal import Factored, factor
-from rfem_jax.mechanics.algebra.constrained_chain import ConstrainedChain, factor_constrained, solve
+from rfem_jax.mechanics.algebra.constrained_chain import ConstrainedChain, factor_constrained, positive_inverse, solve
 from rfem_jax.mechanics.algebra.vectors import apply, product, product_transposed
 from rfem_jax.mechanics.elements import elasticity, exact_elements
 from rfem_jax.mechanics.kinematics.motion import RelativeMotion
 from rfem_jax.mechanics.kinematics.slender_links import unit_rates
 from rfem_jax.mechanics.model.model import Topology
+from rfem_jax.mechanics.model.superelements import Superelement
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 
@@ -87,8 +88,13 @@ def _link_operators(actual, q_factor, v_factor):
     middle = _rest(actual)
     bodies = _rigid_bodies(actual, actual.centre[:, n:], actual.inertia[:, :, n:], middle)
 
+    superelements = _superelements(actual)
+
     def operator(l, a, b):
         mass, coupling, rigid = bodies.of_link(topology, l)
+        if l in superelements:
+            element = superelements[l], q_factor + superelements[l].damping * v_factor
+            return _condense_superelement(*element, mass, coupling, rigid, interfaces=local_interfaces(topology, l))
         s = q_factor + actual.damping[a] * v_factor
         stiffness = mass + s * springs.diagonal[a:b], s * springs.lower[a:b]
         motions = unit_rates(actual, None, l) if l in topology.slender else None
@@ -147,18 +153,25 @@ def present_operators(
 ) -> tuple[LinkOperator | None, ...]:
     """`link_operators` of geometrically exact elements at the present deflection."""
     actual, relative = jax.lax.stop_gradient((actual, relative))
-    topology = actual.topology
+    topology, n = actual.topology, actual.topology.n_links
     u = relative.position - _rest(actual)
     springs = exact_elements.stiffness_blocks(actual, u, relative)
-    rotated = product(relative.rotation, actual.inertia[:, :, topology.n_links :])
+    rotated = product(relative.rotation, actual.inertia[:, :, n:])
     inertia = product_transposed(rotated, relative.rotation)
-    centre = apply(relative.rotation, actual.centre[:, topology.n_links :])
+    centre = apply(relative.rotation, actual.centre[:, n:])
     # From rates of the coordinates, whose angles are about the rfe's present axes, to twists in link axes.
     rates = jnp.zeros((topology.n_rfes, 6, 6)).at[:, 3:, 3:].set(jnp.eye(3))
     rates = rates.at[:, :3, :3].set(jnp.moveaxis(relative.rate_matrix, 2, 0))
     bodies = _rigid_bodies(actual, centre, inertia, relative.position)
 
+    superelements = _superelements(actual)
+    undeformed = _rigid_bodies(actual, actual.centre[:, n:], actual.inertia[:, :, n:], _rest(actual))
+
     def operator(l, a, b):
+        if l in superelements:
+            element = superelements[l], q_factor + superelements[l].damping * v_factor
+            parts = undeformed.of_link(topology, l)
+            return _condense_superelement(*element, *parts, interfaces=local_interfaces(topology, l))
         mass, coupling, rigid = bodies.of_link(topology, l)
         s, t = q_factor + actual.damping[a] * v_factor, rates[a:b]
         diagonal = jnp.einsum("mji,mjk,mkl->mil", t, mass + s * springs.diagonal[a:b], t)
@@ -184,6 +197,38 @@ def _condense(
     """The operator from the blocks (m, 6, 6) of M + s K on and below the diagonal, M X (m, 6, 6), the rigid link's
     inertia (6, 6), and the motions (6 m, 3 m) of a slender link."""
     factored = factor(diagonal, lower) if motions is None else factor_constrained(diagonal, lower, motions)
+    return _condensed(factored, coupling, rigid, motions, interfaces)
+
+
+def _superelements(actual: ModelWithErrors) -> dict[int, Superelement]:
+    """The superelements by link."""
+    return dict(zip((one.link for one in actual.topology.reduced), actual.superelements or (), strict=True))
+
+
+@functools.partial(jax.jit, static_argnames="interfaces")  # as `_condense`
+def _condense_superelement(
+    element: Superelement, s: Array, mass: Array, coupling: Array, rigid: Array, *, interfaces: tuple[int, ...]
+) -> LinkOperator:
+    """The operator of a superelement, whose matrices are full; `mass` and `coupling` of what stands on its interfaces,
+    `rigid` with these."""
+    m = mass.shape[0]
+    angles_first = np.roll(np.arange(6 * m), 3 * m)
+    system = (element.mass + s * element.stiffness)[angles_first][:, angles_first]
+    beside = mass.transpose(1, 0, 2)[:, :, :, None] * np.eye(m)[None, :, None]
+    inverse = positive_inverse(system + beside.reshape(6 * m, 6 * m))
+    by_frame = jnp.concatenate([element.rotation, element.translation])[:, angles_first].T
+    by_frame = by_frame.reshape(6, m, 6).swapaxes(0, 1)
+    return _condensed(Factored(inverse[None], None, None), coupling + by_frame, rigid, None, interfaces)
+
+
+def _condensed(
+    factored: Factored | ConstrainedChain,
+    coupling: Array,
+    rigid: Array,
+    motions: Array | None,
+    interfaces: tuple[int, ...],
+) -> LinkOperator:
+    """The operator of a factored link."""
     m = coupling.shape[0]
     rows = np.array([k + m * c for k in interfaces for c in range(6)], dtype=int)
     unit = jnp.zeros((6, m, len(rows)))

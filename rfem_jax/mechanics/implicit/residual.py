@@ -143,7 +143,8 @@ def evaluate_residual(
         spatial = spatial_accelerations(actual, motion, state, accelerations)
         angular, linear = _node_accelerations(topology, motion, spatial, accelerations)
         at_nodes = frame_loads(actual, motion, drive.time)
-        inertial = loads.loads_beyond_elements(loads.inertial_loads(actual, motion, angular, linear), at_nodes)
+        inertial = loads.inertial_loads(actual, motion, angular, linear, accelerations)
+        inertial = loads.loads_beyond_elements(inertial, at_nodes)
         later = None if ahead is None else Ahead(ahead, accelerations.joints, spatial)
         in_cuts = cut_friction(actual, motion, cuts, multipliers, later)
         wrenches = loads.chain_wrenches(actual, motion, cuts, multipliers, inertial, cut_forces(actual, in_cuts))
@@ -155,6 +156,9 @@ def evaluate_residual(
         if applied:
             hinge = hinge + by_coordinate(topology, applied)
         elastic, dissipated = generalised_forces(actual, state, motion.relative)
+        if actual.superelements is not None:
+            of_bodies = loads.superelement_loads(actual, motion, angular, linear, accelerations)
+            elastic = elastic - of_bodies.generalised
         on_force, on_moment = _interface_loads(topology, motion, wrenches)
         moment = apply_transposed(motion.relative.rate_matrix, on_moment - inertial[1][:, n:])
         force = elastic[:3] + on_force - inertial[0][:, n:]

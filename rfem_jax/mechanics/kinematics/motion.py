@@ -38,7 +38,7 @@ class RelativeMotion(NamedTuple):
 
     rotation (3, 3, N), position (3, N) of the segment's middle, rate_matrix (3, 3, N) with
     w = rate_matrix phi_dot, and at the given rates: angular and linear velocity (3, N) and rate_bias (3, N)
-    = (d rate_matrix / dt) phi_dot.
+    = (d rate_matrix / dt) phi_dot; coordinates: (6, N) and their rates, of mechanisms with superelements.
     """
 
     rotation: Float[Array, "3 3 rfes"]
@@ -47,6 +47,7 @@ class RelativeMotion(NamedTuple):
     angular: Float[Array, "3 rfes"]
     linear: Float[Array, "3 rfes"]
     rate_bias: Float[Array, "3 rfes"]
+    coordinates: tuple[Float[Array, "6 rfes"], Float[Array, "6 rfes"]] | None = None
 
 
 class Frames(NamedTuple):
@@ -142,15 +143,19 @@ def relative_motion(actual: ModelWithErrors, position: Coordinates, velocity: Co
         angular=about_both + about_x,
         linear=u_dot,
         rate_bias=cross(about_last, about_middle) + cross(about_both, about_x),
+        coordinates=(position.elastic, velocity.elastic) if actual.topology.reduced else None,
     )
 
 
 def range_used(topology: Topology, position: Coordinates) -> Float[Array, ""]:
     """Largest angle of the free rfes relative to their link frames over its limit: for linear
     elements phi_y and phi_z (inaccurate long before), for exact ones phi_z (singular at 90 deg)."""
+    turned = position.elastic[3:]
+    if topology.reduced:
+        turned = jnp.where(topology.carriers, 0.0, turned)
     if topology.exact:
-        return jnp.max(jnp.abs(position.elastic[5]), initial=0.0) / EXACT_LIMIT
-    return jnp.max(jnp.abs(position.elastic[4:]), initial=0.0) / LINEAR_LIMIT
+        return jnp.max(jnp.abs(turned[2]), initial=0.0) / EXACT_LIMIT
+    return jnp.max(jnp.abs(turned[1:]), initial=0.0) / LINEAR_LIMIT
 
 
 def _parent_frame(topology: Topology, relative: RelativeMotion, links: list[Frames], node: int) -> Frames:

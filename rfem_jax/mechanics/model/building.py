@@ -22,6 +22,7 @@ from rfem_jax.description.mechanism.links import GRADIENTS, Link
 from rfem_jax.description.mechanism.mechanism import EQUILIBRIUM, MINIMUM_NORM, Mechanism
 from rfem_jax.description.mechanism.point_forces import AtPoint, BetweenPoints
 from rfem_jax.description.mechanism.points import NamedPoint
+from rfem_jax.description.mechanism.reduced_bodies import SAME_PLACE, ReducedBody
 from rfem_jax.description.mechanism.sections import CoupledSection, plane_edges, plane_names
 from rfem_jax.description.parameters.parts import Parts, parts_of
 from rfem_jax.mechanics.laws.bearings import bearing_capacities
@@ -34,11 +35,12 @@ from rfem_jax.mechanics.laws.joint_springs import CompliantSpring, compliant_spr
 from rfem_jax.mechanics.laws.line_loads import LineLoad, line_load
 from rfem_jax.mechanics.laws.point_laws import load_at, spring_between
 from rfem_jax.mechanics.model.form import QUARTER, Attached, form_of, require_turned
-from rfem_jax.mechanics.model.model import BASE, CarriedPoint, Model, Sections, Topology, rfe_fractions
+from rfem_jax.mechanics.model.model import BASE, CarriedPoint, Model, Sections, Topology
 from rfem_jax.mechanics.model.named_points import with_named_points
 from rfem_jax.mechanics.model.orientations import quaternion_of_angles
 from rfem_jax.mechanics.model.profiles import profile_of, taper_of
 from rfem_jax.mechanics.model.sources import ForceNodes, source_of
+from rfem_jax.mechanics.model.superelements import Superelement, reduced_link, rigid_part, superelement_of
 from rfem_jax.mechanics.model.warmth import warmed
 
 
@@ -77,7 +79,7 @@ def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], 
     masses = [(i, mass) for i, link in enumerate(links) for mass in _masses_of(link)]
     acted = _force_nodes(mechanism, discretised)
     ideal = [one for one in mechanism.couplings if one.ideal]
-    shaped = any(link.axis or link.form_errors for link in links) or any(
+    shaped = any(link.course or link.form_errors for link in links) or any(
         isinstance(section, CoupledSection) for link in links for section in link.sections
     )
     followed = (
@@ -97,7 +99,7 @@ def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], 
         child_at_end=tuple(c.at_end for c in children),
         elements=discretised.elements,
         drives=tuple(_coordinate(joints, *motion) for motion in mechanism.driven_motions),
-        masses=tuple(discretised.node(i, [float(x) for x in mass.position]) for i, mass in masses),
+        masses=tuple(discretised.holder(i, mass) for i, mass in masses),
         minimum_norm=mechanism.redundant_reactions == MINIMUM_NORM,
         exact=exact,
         holders=tuple(sorted({node for _, nodes in acted for node in nodes if node >= len(links)})),
@@ -111,7 +113,12 @@ def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], 
         slender=tuple(i for i, link in enumerate(links) if discretised.elements[i] > 1 and link.slender),
         coupled=tuple(sorted({_coordinate(joints, *motion) for one in ideal for motion in one.coordinates})),
         shaped=shaped,
-        curved=tuple(i for i, link in enumerate(links) if link.axis),
+        curved=tuple(i for i, link in enumerate(links) if link.course),
+        reduced=tuple(
+            reduced_link(i, link.body)
+            for i, link in enumerate(links)
+            if isinstance(link.body, ReducedBody) and discretised.elements[i] > 1
+        ),
     )
     require_turned(links, mechanism.plane)
     _require_one_of(topology)
@@ -177,14 +184,16 @@ def arrays_of(parts: Parts, structure: PartStructure) -> Model:
         line_loads=_line_loads(parts, topology) or None,
         shaking_point=None if parts.shaking_point is None else _array(parts.shaking_point),
         curvature=_curvatures(links),
+        superelements=_superelements(links, topology),
     )
     profiles = tuple(profile_of(link, parts.plane, topology.shaped) for link in links)
     if topology.shaped:
         attached = _attached(parts, topology, links, joints, points)
-        form = form_of(links, parts.plane, [rfe_fractions(n) for n in topology.elements], attached)
+        fractions = [topology.fractions(l) for l in range(topology.n_links)]
+        form = form_of(links, parts.plane, fractions, attached)
         model = replace(model, profiles=profiles, form=form)
     elif any(profiles):
-        ends = [np.cumsum([0.0, *rfe_fractions(n)[0]]) for n in topology.elements]
+        ends = [np.cumsum([0.0, *topology.fractions(l)[0]]) for l in range(topology.n_links)]
         model = replace(model, profiles=profiles, taper=taper_of(links, ends, parts.plane))
     model = with_named_points(model, [one.name for one in parts.points if isinstance(one, NamedPoint)])
     return _with_clearances(model, joints) if topology.clearances else model
@@ -244,6 +253,7 @@ class _Mass(NamedTuple):
     position: Sequence[Number]
     inertia: Sequence[Number]
     products: Sequence[Number] = (0.0, 0.0, 0.0)
+    of_body: bool = False
 
 
 def _masses_of(link: Link) -> list[_Mass]:
@@ -251,9 +261,12 @@ def _masses_of(link: Link) -> list[_Mass]:
     masses = [_Mass(point.mass, point.position, point.inertia) for point in link.point_masses]
     if link.body is None:
         return masses
-    tensor = link.body.tensor
+    if isinstance(link.body, ReducedBody):
+        mass, centre, tensor = rigid_part(link.body)
+    else:
+        mass, centre, tensor = link.body.mass, link.body.centre, link.body.tensor
     products = (tensor[0, 1], tensor[0, 2], tensor[1, 2])
-    return [_Mass(link.body.mass, link.body.centre, [tensor[i, i] for i in range(3)], products), *masses]
+    return [_Mass(mass, centre, [tensor[i, i] for i in range(3)], products, True), *masses]
 
 
 def _coordinate(joints: Sequence[Joint], joint: str, motion: str) -> int:
@@ -394,8 +407,8 @@ def _node_place(
     if node < topology.n_links:
         return [x, y, z]
     first = topology.ranges[index][0]
-    middle = float(rfe_fractions(topology.elements[index])[1][node - topology.n_links - first + 1])
-    if links[index].axis:
+    middle = float(topology.fractions(index)[1][node - topology.n_links - first + 1])
+    if links[index].course:
         curve = links[index].curve
         about = curve.at(array_of([middle * curve.length])).position
         return [x - about[0, 0], y - about[1, 0], z - about[2, 0]]
@@ -406,8 +419,8 @@ def _place_on(link: Link, position: Sequence[Number] | None, at_end: bool) -> Se
     """A place in a link's frame [m]; None: its end (`at_end`) or its start."""
     if position is not None:
         return position
-    if at_end and link.axis:
-        return link.axis[-1].to
+    if at_end and link.course:
+        return link.course[-1].to
     return (link.length if at_end else 0.0, 0.0, 0.0)
 
 
@@ -427,12 +440,19 @@ class _Links(NamedTuple):
     def node(self, index: int, place: Sequence[Any]) -> int:
         """Node that holds a point of a link."""
         link, n = self.links[index], self.elements[index]
-        x = place[0] if not link.axis or n == 1 else _along(link, place)
+        if isinstance(link.body, ReducedBody) and n > 1:
+            i = _interface_at(link, link.body, place)
+            return index if i == 0 else len(self.links) + sum(n - 1 for n in self.elements[:index]) + i - 1
+        x = place[0] if not link.course or n == 1 else _along(link, place)
         edge = np.clip(x / link.length * (n - 1) + 0.5, 0, n - 1)
         i = 0 if n == 1 else int(min(edge, n - 1))
         if i == 0:
             return index
         return len(self.links) + sum(n - 1 for n in self.elements[:index]) + i - 1
+
+    def holder(self, index: int, mass: _Mass) -> int:
+        """Node that holds a point mass; that of a body is the first one of its link."""
+        return index if mass.of_body else self.node(index, [float(x) for x in mass.position])
 
     def attach(self, owner: str, position: Sequence[float] | None, at_end: bool) -> _Attachment:
         """One side of a joint; without a position it is at the link's end (`at_end`) or its start."""
@@ -441,9 +461,21 @@ class _Links(NamedTuple):
         index = [link.name for link in self.links].index(owner)
         link = self.links[index]
         place = _place_on(link, position, at_end)
-        end = link.axis[-1].to if link.axis else (link.length,)
+        end = link.course[-1].to if link.course else (link.length,)
         far = max(abs(x - y) for x, y in zip(place, end)) > 1e-12 * link.length
         return _Attachment(self.node(index, place), not far)
+
+
+def _interface_at(link: Link, body: ReducedBody, place: Sequence[Any]) -> int:
+    """The interface at a place of a link with a reduced body, on which alone anything can be fixed."""
+    apart = np.linalg.norm(np.asarray(body.interfaces) - np.array(place, dtype=float), axis=1)
+    if apart.min() > SAME_PLACE * float(link.length):
+        shown = ", ".join(f"({x:.6g}, {y:.6g}, {z:.6g})" for x, y, z in np.asarray(body.interfaces))
+        raise InputError(
+            f"Argument `position` of what is fixed to link `{link.name}` must be an interface of its reduced body, but "
+            f"is {tuple(map(float, place))} m; its interfaces are {shown}."
+        )
+    return int(apart.argmin())
 
 
 def _along(link: Link, place: Sequence[Any]) -> float:
@@ -520,6 +552,12 @@ def _curvatures(links: Sequence[Link]) -> Array | None:
     y, z = GRADIENTS
     rows = [[bend(link, z) for link in links], [-bend(link, y) for link in links]]
     return jnp.asarray(array_of(rows), jnp.float64)
+
+
+def _superelements(links: Sequence[Link], topology: Topology) -> tuple[Superelement, ...] | None:
+    """The superelements of links with reduced bodies."""
+    bodies = [links[one.link].body for one in topology.reduced]
+    return tuple(superelement_of(body, body.damping) for body in bodies if isinstance(body, ReducedBody)) or None
 
 
 def _array(values: Sequence[Number]) -> Array:

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.basics.numbers import array_of, is_known, larger, smaller, traced
@@ -152,10 +152,14 @@ def section_axes(tangent: Float[Array, "3 n"], roll: Float[Array, " n"], hinge: 
 
 
 def sde_stiffness(
-    segments: Segments, errors: tuple[Array, Array, Array], points: tuple[Array, Array, Array], hinge: int
+    segments: Segments,
+    errors: tuple[Array, Array, Array],
+    points: tuple[Array, Array, Array],
+    hinge: int,
+    none: Bool[np.ndarray, " rfes"],
 ) -> Float[Array, "6 6 rfes"]:
     """Stiffness of sdes in link axes, of errors (scale, bow, length) and points [m] of the sdes and of the begins and
-    ends of their segments (theory (1.22) to (1.24))."""
+    ends of their segments (theory (1.22) to (1.24)); zero of the rfes that have `none`."""
     sde, begin, end = points
     chord = end - begin
     chord = scaled(1.0 / jnp.sqrt(dot(chord, chord)), chord)
@@ -175,7 +179,10 @@ def sde_stiffness(
         return total + weight[None, None] * compliance, None
 
     compliance, _ = jax.lax.scan(add, jnp.zeros((6, 6, sde.shape[1])), segments)
-    return vectors.invert_positive(compliance)
+    if not none.any():
+        return vectors.invert_positive(compliance)
+    compliance = jnp.where(none, np.eye(6)[:, :, None], compliance)
+    return jnp.where(none, 0.0, vectors.invert_positive(compliance))
 
 
 def bodies_of(
@@ -225,7 +232,8 @@ def form_of(
         profile = None if link.section is None else Profile(link.spans, link.material, plane)
         bodies = _between(profile, curve, edges)
         found = (
-            _places(curve, np.zeros(1)), _places(curve, centres[1:]), _places(curve, edges[1:-1]),
+            _places(curve, np.zeros(1)), _places(curve, centres[1:]),
+            _places(curve, centres[1:] if link.reduced and n > 1 else edges[1:-1]),
             _places(curve, faces[:-1]), _places(curve, faces[1:]), _between(profile, curve, faces),
             jax.tree.map(lambda x: x[..., :1], bodies), jax.tree.map(lambda x: x[..., 1:], bodies),
         )  # fmt: skip
@@ -283,7 +291,7 @@ def _shares(curves: Sequence[Curve], links: Sequence[Link], attached: Sequence[t
             found.append(0.0)
             continue
         curve = curves[index]
-        at = place[0] if not links[index].axis else curve.nearest(array_of(list(place))[:, None])[0]
+        at = place[0] if not links[index].course else curve.nearest(array_of(list(place))[:, None])[0]
         found.append(smaller(larger(at / curve.length, 0.0), 1.0))
     return array_of(found)
 

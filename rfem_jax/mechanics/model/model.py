@@ -44,6 +44,7 @@ from rfem_jax.mechanics.model.form import Form
 from rfem_jax.mechanics.model.profiles import Profile, Taper
 from rfem_jax.mechanics.model.sources import Source
 from rfem_jax.mechanics.model.summary import model_text
+from rfem_jax.mechanics.model.superelements import ReducedLink, Superelement
 
 BASE = -1
 
@@ -111,6 +112,7 @@ class Topology(NamedTuple):
     shaped: whether links have forms (`form.Form`): their rfes are not on their x axes, or their sdes couple directions.
     curved: links with an axis of their own.
     slender: flexible links whose segments neither stretch nor shear (`slender_links`).
+    reduced: links that are superelements (`superelements`).
     """
 
     links: tuple[str, ...]
@@ -146,6 +148,7 @@ class Topology(NamedTuple):
     shaped: bool = False
     curved: tuple[int, ...] = ()
     slender: tuple[int, ...] = ()
+    reduced: tuple[ReducedLink, ...] = ()
 
     def renamed(self, names: Names) -> "Topology":
         """With other names."""
@@ -347,6 +350,24 @@ class Topology(NamedTuple):
         """Link of every free rfe."""
         return np.repeat(np.arange(self.n_links), [n - 1 for n in self.elements])
 
+    def fractions(self, link: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """Lengths and middles of a link's rfes as fractions of its length."""
+        for one in self.reduced:
+            if one.link == link:
+                return np.eye(len(one.middles))[0], one.middles
+        return rfe_fractions(self.elements[link])
+
+    @property
+    def reduced_rfes(self) -> Bool[np.ndarray, " rfes"]:
+        """Whether every free rfe is of a superelement."""
+        return np.isin(self.link_of_rfe, [one.link for one in self.reduced])
+
+    @property
+    def carriers(self) -> Bool[np.ndarray, " rfes"]:
+        """Whether every free rfe carries amplitudes of modes."""
+        last = [range(self.ranges[one.link][1] - one.carriers, self.ranges[one.link][1]) for one in self.reduced]
+        return np.isin(np.arange(self.n_rfes), [k for some in last for k in some])
+
     @property
     def slender_rfes(self) -> Bool[np.ndarray, " rfes"]:
         """Whether every free rfe is of a link whose segments neither stretch nor shear."""
@@ -362,6 +383,12 @@ class Topology(NamedTuple):
     def bowed(self) -> bool:
         """Whether links have errors of form."""
         return any(name.endswith((".bow_y", ".bow_z")) for name in self.error_names)
+
+    def end_of(self, link: int) -> int:
+        """The node at the far end of a link: its last rfe, or the last interface of a superelement."""
+        first, last = self.ranges[link]
+        carriers = sum(one.carriers for one in self.reduced if one.link == link)
+        return link if first == last else self.n_links + last - 1 - carriers
 
     def link_of(self, node: int) -> int:
         """Link that a node belongs to."""
@@ -431,7 +458,7 @@ class Model(eqx.Module):
     coordinates, by their names, None without any; curvature: rotations about y and z per length [1/m] of links without
     load, None where all are straight; profiles: of every link its sections along it, None of one without stations;
     taper: rfes and sdes of all links; both None without any stations; form: of links that are not straight, None where
-    all are (`Topology.shaped`).
+    all are (`Topology.shaped`); superelements: of the links `Topology.reduced`, None without any.
 
     Numbers of the description change by a `rfem_jax.design`, from which all arrays follow.  `equinox.tree_at` may
     replace what is no number of a description and leaves the geometry as it is, such as the stiffnesses of one link of
@@ -469,6 +496,7 @@ class Model(eqx.Module):
     profiles: tuple[Profile | None, ...] | None = None
     taper: Taper | None = None
     form: Form | None = None
+    superelements: tuple[Superelement, ...] | None = None
 
     @property
     def vectors_of_time(self) -> list[TimeVector]:

@@ -11,7 +11,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 
 from rfem_jax.description.mechanism.points import END, START, NamedPoint, link_end
-from rfem_jax.mechanics.model.model import BASE, CarriedPoint, Model, Topology, rfe_fractions
+from rfem_jax.mechanics.model.model import BASE, CarriedPoint, Model, Topology
 
 
 def with_named_points(model: Model, names: Iterable[str]) -> Model:
@@ -45,13 +45,13 @@ def _carried(model: Model, name: str) -> CarriedPoint:
         j = topology.joints.index(name)
         return CarriedPoint(topology.children[j], BASE, model.child_position[:, j], j)
     link, far = topology.links.index(end[0]), end[1]
-    (first, last), n = topology.ranges[link], topology.elements[link]
+    first, last = topology.ranges[link]
     if link in topology.curved and model.form is not None:
         if not far:
             return CarriedPoint(link, BASE, jnp.zeros(3))
-        curve, node = model.form.curves[link], link if first == last else topology.n_links + last - 1
+        curve, node = model.form.curves[link], topology.end_of(link)
         return CarriedPoint(node, BASE, jnp.asarray(curve.end - model.form.middles.position[:, node]))
     if not far or first == last:
         return CarriedPoint(link, BASE, jnp.stack([model.length[link] if far else zero, zero, zero]))
-    beyond = (1.0 - rfe_fractions(n)[1][-1]) * model.length[link]
+    beyond = (1.0 - topology.fractions(link)[1][-1]) * model.length[link]
     return CarriedPoint(topology.n_links + last - 1, BASE, jnp.stack([beyond, zero, zero]))

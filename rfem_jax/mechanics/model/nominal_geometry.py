@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from rfem_jax.description.basics.joint_kinds import JointKind
 from rfem_jax.mechanics.laws.couplings import CouplingLaw
-from rfem_jax.mechanics.model.model import BASE, Model, Topology, rfe_fractions
+from rfem_jax.mechanics.model.model import BASE, Model, Topology
 
 SMALLEST_SINGULAR_VALUE = 1e-6  # of rows with lengths over the longest link: what is below says nothing
 
@@ -66,7 +66,7 @@ class Gaps(NamedTuple):
 def geometry_of(model: Model) -> NominalGeometry:
     """The constants of a model, whose numbers must not be traced."""
     topology = model.topology
-    middles = [rfe_fractions(n)[1][1:] for n in topology.elements]
+    middles = [topology.fractions(l)[1][1:] for l in range(topology.n_links)]
     length = np.asarray(model.length)
     return NominalGeometry(
         topology=topology,

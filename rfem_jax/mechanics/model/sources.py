@@ -134,7 +134,7 @@ def _drop_derived_numbers(parts: Parts) -> Parts:
             station.with_fields(section=_without_derived(station.section), after=_without_derived(station.after))
             for station in link.stations
         )
-        changed = {"length": 0.0} if link.axis else {}
+        changed = {"length": 0.0} if link.course else {}
         links.append(link.with_fields(section=_without_derived(link.section), stations=stations, **changed))
     for joint in parts.joints:
         zeros = {"angle": 0.0, "displacement": 0.0, "start": scaled(joint.start, 0.0)}

@@ -36,7 +36,8 @@ from rfem_jax.mechanics.model.form import (
     shaped,
     wave,
 )
-from rfem_jax.mechanics.model.model import BASE, CarriedPoint, Model, Topology, rfe_fractions
+from rfem_jax.mechanics.model.model import BASE, CarriedPoint, Model, Topology
+from rfem_jax.mechanics.model.superelements import Superelement
 
 
 class FrameForceSet(eqx.Module):
@@ -66,8 +67,9 @@ class ModelWithErrors(eqx.Module):
     forces: along joint coordinates and of couplings of these, None without any; frame_forces: elements between frames
     on nodes, likewise; friction: in joints of the tree and cut ones, likewise; springs: of compliant joints, likewise;
     reaction_length: as of the model; points: whose paths are followed, likewise; bent: rotations about y and z [rad] of
-    the sdes without load, None where links are straight; form: of links with forms, None where all are straight. With
-    forms rest and lever arms are vectors (3, rfes), and the stiffness a matrix (6, 6, rfes) in link axes.
+    the sdes without load, None where links are straight; form: of links with forms, None where all are straight;
+    superelements: of the links `Topology.reduced`, None without any. With forms rest and lever arms are vectors
+    (3, rfes), and the stiffness a matrix (6, 6, rfes) in link axes.
     """
 
     topology: Topology = eqx.field(static=True)
@@ -96,6 +98,7 @@ class ModelWithErrors(eqx.Module):
     points: dict[str, CarriedPoint] | None = None
     bent: Float[Array, "2 rfes"] | None = None
     form: ActualForm | None = None
+    superelements: tuple[Superelement, ...] | None = None
 
 
 @kernel
@@ -145,8 +148,8 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
             mass=mass,
             centre=centre,
             inertia=inertia,
-            inverse_inertia=vectors.invert_positive(inertia[:, :, n:]),
-            beam_middle=length * np.array([rfe_fractions(n)[1][0] for n in topology.elements]),
+            inverse_inertia=_inverse_inertia(topology, inertia[:, :, n:]),
+            beam_middle=length * np.array([topology.fractions(l)[1][0] for l in range(n)]),
             gravity=model.gravity,
             datum=model.parent_position[:, topology.parents.index(BASE)],
             forces=_joint_laws(model),
@@ -156,8 +159,16 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
             reaction_length=model.reaction_length,
             points=_points(model, bow, scale, bore[1]),
             possible=possible.astype(float),
+            superelements=model.superelements,
             **(_spring_damping_elements(model, length) if bow is None else _shaped_elements(model, bow, length, scale)),
         )
+
+
+def _inverse_inertia(topology: Topology, inertia: Float[Array, "3 3 rfes"]) -> Float[Array, "3 3 rfes"]:
+    """Inverse inertias; of the free rfes of superelements, which have none, of any."""
+    if topology.reduced:
+        inertia = inertia + jnp.asarray(vectors.IDENTITY)[:, :, None] * topology.reduced_rfes
+    return vectors.invert_positive(inertia)
 
 
 def _bow(model: Model, errors: AssemblyErrors) -> Float[Array, "2 links"] | None:
@@ -369,10 +380,11 @@ def _bodies(
     total = mass + model.point_mass @ onto
     moment = mass[None] * beam_centre
     moment = moment + (model.point_mass[None] * point) @ onto
-    centre = moment / total[None]
-    if topology.massless:
+    if topology.massless or topology.reduced:
         there = total > 0.0
         centre = jnp.where(there[None], moment / jnp.where(there, total, 1.0)[None], 0.0)
+    else:
+        centre = moment / total[None]
 
     def steiner(m, r):
         identity = jnp.asarray(vectors.IDENTITY)[:, :, None]
@@ -408,7 +420,7 @@ def _point_places(model: Model, bow: Array | None, scale: Array) -> Float[Array,
 
 def point_places(model: Model, actual: ModelWithErrors) -> Float[Array, "3 masses"]:
     """Places [m] of point masses in the frames of their nodes, with the errors of their links."""
-    middles = np.array([rfe_fractions(n)[1][0] for n in model.topology.elements])
+    middles = np.array([model.topology.fractions(l)[1][0] for l in range(model.topology.n_links)])
     scale = actual.beam_middle / middles / model.length
     return _point_places(model, None if actual.form is None else actual.form.bow, scale)
 
@@ -436,7 +448,7 @@ def _off_diagonal(products: Float[Array, "3 masses"]) -> Float[Array, "3 3 masse
 
 def _node_fractions(topology: Topology) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Link, share of its length and middle of every node, in the order of the nodes."""
-    fractions = [rfe_fractions(n) for n in topology.elements]
+    fractions = [topology.fractions(l) for l in range(topology.n_links)]
     link = np.concatenate([np.arange(topology.n_links), topology.link_of_rfe])
     share, middle = (np.concatenate([[f[k][0] for f in fractions], *[f[k][1:] for f in fractions]]) for k in (0, 1))
     return link.astype(int), share, middle
@@ -449,7 +461,7 @@ def _spring_damping_elements(model: Model, length: Array) -> dict[str, Any]:
     link = topology.link_of_rfe.astype(int)
     count = np.array(topology.elements, dtype=float)[link] - 1.0
     index = np.concatenate([np.arange(n - 1) for n in topology.elements]).astype(int)
-    middles = [rfe_fractions(n)[1] for n in topology.elements]
+    middles = [topology.fractions(l)[1] for l in range(topology.n_links)]
     left = np.concatenate([x[:-1] for x in middles]) if middles else np.zeros(0)
     right = np.concatenate([x[1:] for x in middles]) if middles else np.zeros(0)
     place = (index + 0.5) / np.maximum(count, 1.0)
@@ -484,7 +496,7 @@ def _shaped_elements(model: Model, bow: Array, length: Array, scale: Array) -> d
     count = np.array(topology.elements, dtype=float)[link] - 1.0
     return {
         "rest": rest,
-        "stiffness": sde_stiffness(form.segments, whole, (sdes.position, begin, end), hinge),
+        "stiffness": sde_stiffness(form.segments, whole, (sdes.position, begin, end), hinge, topology.reduced_rfes),
         "damping": _link_values(model.section.damping, link),
         "lever_left": sdes.position - before,
         "lever_right": sdes.position - rest,

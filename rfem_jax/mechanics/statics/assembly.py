@@ -31,6 +31,7 @@ from rfem_jax.mechanics.algebra.derivative_rules import implicit_function
 from rfem_jax.mechanics.algebra.vectors import Scalar, apply_transposed, cross, dot, solve_equations
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.elements import elasticity
+from rfem_jax.mechanics.elements.deformed_bodies import spring_forces
 from rfem_jax.mechanics.elements.linear_validity import linear_error, linear_range
 from rfem_jax.mechanics.forces.bush_contacts import ContactState, contact_states
 from rfem_jax.mechanics.forces.element_loads import element_tangents, frame_loads
@@ -45,7 +46,7 @@ from rfem_jax.mechanics.forces.joint_forces import (
 )
 from rfem_jax.mechanics.implicit.residual import Residual
 from rfem_jax.mechanics.kinematics.cut_joints import Closure, closure, spring_residual, spring_row_tangent
-from rfem_jax.mechanics.kinematics.motion import by_freedom, motion_of, range_used
+from rfem_jax.mechanics.kinematics.motion import by_freedom, motion_of, range_used, relative_motion
 from rfem_jax.mechanics.kinematics.self_stress import redundancy
 from rfem_jax.mechanics.kinematics.slender_links import projected, with_displacements
 from rfem_jax.mechanics.model.errors import AssemblyErrors, Errors, assembly_errors, errors_of
@@ -447,12 +448,21 @@ def _rows(scaled: _Scaled, actual: ModelWithErrors) -> Array:
         if stiffness is not None:
             closing = jnp.where(np.array(topology.sprung_rows), stiffness * scaled.length + scaled.force, closing)
     of_rfes = jnp.einsum("kij,jk->ik", springs, one)
+    if actual.superelements is not None:
+        of_rfes = of_rfes + _superelement_rows(actual, one)
     if topology.slender:
         of_rfes = of_rfes.at[:3].set(jnp.where(topology.slender_rfes, scaled.force, of_rfes[:3]))
     if actual.frame_forces is not None:
         of_joints, of_rfes = _with_element_rows(scaled, actual, of_joints, of_rfes)
     forces = Coordinates(of_joints, of_rfes)
     return scaled.residual(forces, closing)
+
+
+def _superelement_rows(actual: ModelWithErrors, units: Float[Array, "6 rfes"]) -> Float[Array, "6 rfes"]:
+    """Sums of the rows of superelements, by units of the coordinates."""
+    size = tuple(replace(one, stiffness=-jnp.abs(one.stiffness)) for one in actual.superelements or ())
+    at_rest = relative_motion(actual, Coordinates(jnp.zeros(0), units), Coordinates(jnp.zeros(0), 0.0 * units))
+    return spring_forces(replace(actual, superelements=size), at_rest)[0]
 
 
 def _with_element_rows(
@@ -504,6 +514,8 @@ def _static_residual(
                 moment = moment + apply_transposed(rotation, on_moment)[:, None] * there
     external = jnp.concatenate([force, apply_transposed(motion.relative.rate_matrix, moment)])
     elastic, _ = elasticity.generalised_forces(actual, state, motion.relative)
+    if actual.superelements is not None:
+        elastic = elastic - loads.superelement_loads(actual, motion, at_rest, at_rest).generalised
     if topology.slender:
         external = jnp.concatenate(projected(actual, motion.relative, external[:3], external[3:]))
     closing = jnp.zeros((0,)) if cuts is None else spring_residual(topology, cuts, multipliers, cuts.residual)
@@ -558,8 +570,11 @@ def moving_equilibrium(
 def _force_scale(model: Model, actual: ModelWithErrors) -> Array:
     """A force [N] of the mechanism: its bending stiffness over a length squared, or its weight and what
     acts on its joints."""
-    stiffness = model.section.bending
-    bending = [stiffness[l] / model.length[l] ** 2 for l, n in enumerate(model.topology.elements) if n > 1]
+    stiffness, bodies = model.section.bending, [one.link for one in model.topology.reduced]
+    flexible = [l for l, n in enumerate(model.topology.elements) if n > 1 and l not in bodies]
+    bending = [stiffness[l] / model.length[l] ** 2 for l in flexible]
+    for l, one in zip(bodies, model.superelements or (), strict=True):
+        bending.append(jnp.min(jnp.diag(one.stiffness)[: len(one.stiffness) // 2]) * model.length[l])
     if bending:
         return jax.lax.stop_gradient(jnp.max(jnp.stack(bending)))
     force = jnp.sum(actual.mass) * jnp.linalg.norm(model.gravity) + jnp.sum(actual.mass)

@@ -36,7 +36,7 @@ from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.model.building import PartStructure, arrays_of
 from rfem_jax.mechanics.model.discretisation import discretise
 from rfem_jax.mechanics.model.errors import AssemblyErrors, assembly_errors, require_errors_of, require_possible
-from rfem_jax.mechanics.model.model import BASE, Model, Topology, at_closing, rfe_fractions
+from rfem_jax.mechanics.model.model import BASE, Model, Topology, at_closing
 from rfem_jax.mechanics.model.planar_loops import require_closable
 from rfem_jax.mechanics.model.sources import NOTHING, Blueprint, Source
 from rfem_jax.mechanics.model.status import DESIGN_OUT_OF_RANGE, NOT_CLOSED, OK, STATUS
@@ -379,7 +379,7 @@ def _longest_arm(model: Model) -> Float[Array, ""]:
         if node == BASE or topology.elements[topology.link_of(node)] == 1 or topology.link_of(node) in topology.curved:
             continue  # a link with an axis may have arms beside it
         link, n = topology.link_of(node), topology.n_links
-        shares = rfe_fractions(topology.elements[link])[0]
+        shares = topology.fractions(link)[0]
         i = 0 if node < n else node - n - topology.ranges[link][0] + 1
         # The origin of rfe 0 is at its start, that of the others in the middle.
         low, high = (0.0, shares[0]) if i == 0 else (-0.5 * shares[i], 0.5 * shares[i])
