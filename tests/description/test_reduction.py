@@ -154,7 +154,9 @@ END = (0.0, 0.0, 0.0)
             ("`stiffness`", "leaves some free"),
         ),
         (
-            lambda of: craig_bampton(of[0], of[1] + np.eye(60), of[2], [Interface(END, [4, 5, 6])]),
+            lambda of: craig_bampton(
+                of[0], of[1] + 1e6 * np.eye(60), of[2], [Interface(END, [4, 5, 6]), Interface((4, 0, 0), [16, 17, 18])]
+            ),
             ("`stiffness`", "rigid motions"),
         ),
     ],

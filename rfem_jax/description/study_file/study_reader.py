@@ -241,7 +241,7 @@ def section_keys(shape: str) -> tuple[list[str], list[str]]:
 def _read_link(table: object, place: str, materials: Any, sections: Any, folder: Path = Path()) -> Link:
     problems = Problems()
     required, optional = keys_of(Link)
-    if not (isinstance(table, dict) and "axis" in table):
+    if not (isinstance(table, dict) and ("axis" in table or _is_reduced(table.get("body")))):
         required, optional = [*required, "length"], [key for key in optional if key != "length"]
     settings = checked_table(table, place, required, optional, problems)
     for key, known in (("section", sections), ("material", materials)):
@@ -267,9 +267,13 @@ def _read_link(table: object, place: str, materials: Any, sections: Any, folder:
     return build(Link, settings, place, problems)
 
 
+def _is_reduced(table: Any) -> bool:
+    return isinstance(table, dict) and bool(table.keys() & {"file", "stiffness", "interfaces"})
+
+
 def _read_body(table: object, place: str, folder: Path) -> RigidBody | ReducedBody:
     """A rigid body, or a reduced one of a file or of two, whose names are relative to a folder."""
-    if not isinstance(table, dict) or not table.keys() & {"file", "stiffness", "interfaces"}:
+    if not _is_reduced(table):
         return read_table(RigidBody, table, place)
     problems, of_one = Problems(), "file" in table
     whole = f"{place} of {'a file' if of_one else 'two files'}"
