@@ -28,7 +28,8 @@ _names = {
         "PointSpringTable "
         "PrescribedDisplacements PrescribedFunction PrescribedRate PrescribedRunUp PrescribedSpeed "
         "PrescribedSpinUp PrescribedTable Rectangle RigidBody RungeKutta4 Sensor Station Study Tube load_study "
-        "AngleSection ChannelSection CompositeSection HollowRectangle ISection TeeSection"
+        "AngleSection ChannelSection CompositeSection HollowRectangle ISection TeeSection "
+        "Interface ReducedBody craig_bampton load_body save_body"
     ),
     "mechanics": (
         "AssemblyErrors Coordinates Design Model State STATUS assemble assembly_errors describe design designed "

@@ -6,6 +6,7 @@ enters and converted to SI floats. A room for each subject, from the bottom:
 basics       units, sentences of errors, tables of files, kinds of joints
 drives       what moves a mechanism, along angles and lengths
 mechanism    materials, sections, links, joints, springs and forces, and the mechanism of them
+bodies       reduced bodies of links, from the matrices of a mesh and from files
 methods      methods of integration
 tolerances   names of errors, tolerances, zones of drawings
 metrics      what is asked of a run
@@ -18,6 +19,8 @@ import warnings
 
 from rfem_jax.description.basics.errors import InputError, nearest
 from rfem_jax.description.basics.units import quantity
+from rfem_jax.description.bodies.body_files import load_body, save_body
+from rfem_jax.description.bodies.reduction import Interface, craig_bampton
 from rfem_jax.description.drives.rotations import (
     GivenDrive,
     MomentDrive,
@@ -59,6 +62,7 @@ from rfem_jax.description.mechanism.point_forces import (
     PointSpringTable,
 )
 from rfem_jax.description.mechanism.points import Point
+from rfem_jax.description.mechanism.reduced_bodies import ReducedBody
 from rfem_jax.description.mechanism.rigid_bodies import RigidBody
 from rfem_jax.description.mechanism.section_bases import SectionProperties
 from rfem_jax.description.mechanism.sections import (
@@ -117,6 +121,7 @@ __all__ = [
     "HollowRectangle",
     "ISection",
     "InputError",
+    "Interface",
     "Joint",
     "JointForceFunction",
     "JointForceTable",
@@ -147,6 +152,7 @@ __all__ = [
     "PrescribedSpinUp",
     "PrescribedTable",
     "Rectangle",
+    "ReducedBody",
     "RigidBody",
     "RungeKutta4",
     "Section",
@@ -156,9 +162,12 @@ __all__ = [
     "Study",
     "TeeSection",
     "Tube",
+    "craig_bampton",
+    "load_body",
     "load_study",
     "nearest",
     "quantity",
+    "save_body",
 ]
 
 _FORMER_NAMES = {

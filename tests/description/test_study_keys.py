@@ -5,7 +5,7 @@ import tomllib
 
 import pytest
 
-from rfem_jax import Circle, Coupling, GivenSection, load_study
+from rfem_jax import Circle, Coupling, GivenSection, InputError, load_study
 from rfem_jax.description.basics import tables
 from rfem_jax.description.study_file import force_reader, study, study_reader
 from rfem_jax.description.study_file.key_reference import NEEDED, argument_meanings, key_tables
@@ -137,6 +137,7 @@ def header_of(place):
     place = re.sub(r"^\[\[mechanism\.links\]\] .* (stations|axis).*", r"\1 of [[mechanism.links]]", place)
     place = re.sub(r"^\[\[mechanism\.joints\]\] `\w+` (\w+)$", r"\1 of [[mechanism.joints]]", place)
     place = re.sub(r"^\[\[mechanism\.links\]\] .* body$", "body of [[mechanism.links]]", place)
+    place = re.sub(r"^\[\[mechanism\.links\]\] .* body (of \w+ files?)$", r"body of [[mechanism.links]], \1", place)
     place = re.sub(r"\[mechanism\.(materials|sections)\.\w+\]", r"[mechanism.\1.NAME]", place)
     place = re.sub(r"^(\[\[[\w.]+\]\]) (`[^`]+`|number \d+)", r"\1", place)
     place = re.sub(r"^(\[drive\]|\[\[drives\]\])", "[drive] or [[drives]]", place)
@@ -190,6 +191,9 @@ def asked(tmp_path, monkeypatch):
     study_reader._read_station({"section": "bar"}, "[[mechanism.links]] `rod` stations number 1", {"bar": Circle(0.01)})
     bent = {"name": "bent", "section": "own", "axis": [{"to": [0.1, 0, 0]}, {"to": [0.2, 0, 0.1], "roll": "5 deg"}]}
     study_reader._read_link(bent, "[[mechanism.links]] `bent`", {}, {"own": GivenSection(*[1.0] * 10)})
+    for table in ({"file": "absent.npz"}, {"mass": "m.mtx", "stiffness": "k.mtx", "interfaces": [[0, 0, 0]]}):
+        with pytest.raises(InputError, match="there is none"):
+            study_reader._read_body(table, "[[mechanism.links]] `rocker` body", tmp_path)
     tables.read_table(Statics, {"hold": "A", "rates": {"A": 1.0}}, "[statics]")
     return found
 

@@ -1,4 +1,4 @@
-"""182 wrong study files and the sentences that reading them gives, word for word.
+"""186 wrong study files and the sentences that reading them gives, word for word.
 
 `wrong_studies.json` holds, for each, which study it is made of, by which edits, and what is told; a sentence that
 changes on purpose is changed there by hand.

@@ -319,9 +319,9 @@ class Link(NumberTree, ChecksItself):
     @property
     def elements(self) -> int:
         """Number of rigid finite elements; 1 for a rigid link."""
-        if self.rigid or isinstance(self.body, RigidBody):
-            return 1
-        return self.rfes if self.body is None else self.body.nodes
+        if self.body is None:
+            return 1 if self.rigid else self.rfes
+        return self.body.nodes if isinstance(self.body, ReducedBody) and not self.rigid else 1
 
     @property
     def reduced(self) -> bool:

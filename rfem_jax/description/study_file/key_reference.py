@@ -6,12 +6,13 @@ arguments of a class, and what they mean is said in that class's docstring; what
 
 import inspect
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from types import NoneType, UnionType
 from typing import Any, get_args
 
 from rfem_jax.description.basics.tables import keys_of
+from rfem_jax.description.bodies.body_files import load_body, read_matrices
 from rfem_jax.description.mechanism.axes import AxisPoint
 from rfem_jax.description.mechanism.bases import Base
 from rfem_jax.description.mechanism.bearings import Bearing
@@ -38,6 +39,7 @@ from rfem_jax.description.study_file.force_reader import (
 from rfem_jax.description.study_file.statics import Statics
 from rfem_jax.description.study_file.study import CASE_KEYS, STUDY_KEYS, Case, Study
 from rfem_jax.description.study_file.study_reader import (
+    BODY_FILE_KEYS,
     DRIVES,
     MECHANISM_KEYS,
     SHAPES,
@@ -64,7 +66,8 @@ _IN_A_FILE = {  # where a file has something else than the class
     "base": "the table [mechanism.base], of a base that grows with its temperature",
     "section": "name of a table [mechanism.sections.NAME] (a rigid link needs it for its mass, unless it has a body)",
     "material": 'name of a table [mechanism.materials.NAME]; none with a section of shape "given"',
-    "body": "table {mass = ..., centre = ..., inertia = ...} in the place of section and material; the link is rigid",
+    "body": "table in the place of section and material: {mass = ..., centre = ..., inertia = ...} of a rigid link, "
+    "{file = ...} or {mass = ..., stiffness = ..., interfaces = ...} of reduced matrices",
     "stations": "list of tables, [{x = ..., section = ..., after = ...}, ...]",
     "axis": "list of tables, [{to = ..., through = ...}, ...], through which a link leads that is not straight",
     "form_errors": "whether a straight link has errors of form, its bow; set where a study names these",
@@ -126,6 +129,12 @@ def key_tables() -> list[KeyTable]:
         ("body of [[mechanism.links]]", RigidBody),
     ):
         tables.append(_table(header, kind, *keys_of(kind), _IN_A_FILE))
+    header, own = (
+        "body of [[mechanism.links]], of",
+        {"file": f"path, from the folder of the study: {argument_meanings(load_body)['path']}"},
+    )
+    tables.append(_table(f"{header} a file", load_body, *BODY_FILE_KEYS, own))
+    tables.append(_table(f"{header} two files", read_matrices, *keys_of(read_matrices)))
     named: dict[str, str] = dict.fromkeys(("section", "after"), "name of a table [mechanism.sections.NAME]")
     tables.append(_table("stations of [[mechanism.links]]", Station, *keys_of(Station), named))
     tables += [*_joint_tables(), *_force_tables()]
@@ -155,8 +164,8 @@ def key_tables() -> list[KeyTable]:
     return tables
 
 
-def argument_meanings(kind: type) -> dict[str, str]:
-    """{argument: what it means} from the section "Args:" of the docstring of a class."""
+def argument_meanings(kind: Callable[..., Any]) -> dict[str, str]:
+    """{argument: what it means} from the section "Args:" of the docstring of a class or a function."""
     _, _, section = (inspect.getdoc(kind) or "").partition("Args:\n")
     meanings: dict[str, str] = {}
     names: list[str] = []
@@ -219,7 +228,7 @@ def _simulation_tables() -> list[KeyTable]:
 
 def _table(
     header: str,
-    kind: type,
+    kind: Callable[..., Any],
     required: Collection[str],
     optional: Collection[str],
     own: Mapping[str, str] | None = None,
@@ -230,7 +239,7 @@ def _table(
     return KeyTable(header, tuple(keys))
 
 
-def _type(kind: type, name: str) -> str:
+def _type(kind: Callable[..., Any], name: str) -> str:
     """Type of an argument of a class, in the words of JSON Schema; "number" for what may have a unit; "" for what
     may be of several types, is given in another form, or is a list or a table."""
     parameter = inspect.signature(kind).parameters.get(name)
@@ -251,9 +260,11 @@ def _in_a_file(meaning: str) -> str:
     return meaning
 
 
-def _default(kind: type, name: str) -> str:
+def _default(kind: Callable[..., Any], name: str) -> str:
     """The default of an argument of a class, written as in a study file."""
-    factories = {one.name: one.default_factory for one in fields(kind)} if is_dataclass(kind) else {}
+    factories = (
+        {one.name: one.default_factory for one in fields(kind)} if isinstance(kind, type) and is_dataclass(kind) else {}
+    )
     factory = factories.get(name, MISSING)
     if factory is not MISSING:
         return _written(factory())

@@ -387,8 +387,9 @@ def _read_study(content: dict[str, Any], path: Path) -> Study:
     parts: dict[str, Any] = {"title": path.stem, "drive": None, "path": path}
     parts |= {name: content[name] for name in ("title", "note", "metrics") if name in content}
     readers: dict[str, Callable[[Any], Any]] = {
-        "mechanism": read_mechanism, "drive": read_drive, "drives": read_drives, "simulation": read_simulation,
-        "cases": _read_cases, "statics": lambda table: read_table(Statics, table, "[statics]"),
+        "mechanism": lambda table: read_mechanism(table, path.parent), "drive": read_drive, "drives": read_drives,
+        "simulation": read_simulation, "cases": _read_cases,
+        "statics": lambda table: read_table(Statics, table, "[statics]"),
     }  # fmt: skip
     for name, read in readers.items():
         if name in content:

@@ -7,6 +7,7 @@ drive. Joints, springs and forces are read by `force_reader`.
 
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from rfem_jax.description.basics.errors import ABSENT, InputError, Problems, located, require_choice, require_name
@@ -21,6 +22,7 @@ from rfem_jax.description.basics.tables import (
     require_table,
 )
 from rfem_jax.description.basics.units import positive_quantity
+from rfem_jax.description.bodies.body_files import load_body, read_matrices
 from rfem_jax.description.drives.driven_motions import AnyDrive
 from rfem_jax.description.drives.rotations import (
     MomentRamp,
@@ -43,6 +45,7 @@ from rfem_jax.description.mechanism.links import Link, PointMass
 from rfem_jax.description.mechanism.materials import Material
 from rfem_jax.description.mechanism.mechanism import STARTS, Mechanism
 from rfem_jax.description.mechanism.points import Point
+from rfem_jax.description.mechanism.reduced_bodies import ReducedBody
 from rfem_jax.description.mechanism.rigid_bodies import RigidBody
 from rfem_jax.description.mechanism.sections import (
     AngleSection,
@@ -89,11 +92,12 @@ DRIVES = {
 _MECHANISM_OPTIONS = ("gravity", "redundant_reactions", "reaction_length", "elements", "shaking_point", "plane")
 _MECHANISM_TABLES = ("materials", "sections", "springs", "forces", "couplings", "points", "base")
 MECHANISM_KEYS = (("links", "joints"), (*_MECHANISM_TABLES, *_MECHANISM_OPTIONS))
+BODY_FILE_KEYS = (("file",), ("damping", "units"))
 SIMULATION_KEYS = (("duration",), ("method", "save_every", "start"))  # and the settings of the method
 
 
-def read_mechanism(table: object) -> Mechanism:
-    """Return the Mechanism of the table [mechanism]."""
+def read_mechanism(table: object, folder: Path = Path()) -> Mechanism:
+    """Return the Mechanism of the table [mechanism]; `folder`: of the files that it names."""
     place = "[mechanism]"
     problems = Problems()
     content = checked_table(table, place, *MECHANISM_KEYS, problems)
@@ -104,7 +108,7 @@ def read_mechanism(table: object) -> Mechanism:
         return problems.attempt(read_list, content.get(key, []), f"[[mechanism.{key}]]", read, *known)
 
     parts = {key: content[key] for key in _MECHANISM_OPTIONS if key in content}
-    parts["links"] = all_of("links", _read_link, materials, sections)
+    parts["links"] = all_of("links", _read_link, materials, sections, folder)
     joints, springs, forces = all_of("joints", read_joint), all_of("springs", read_spring), all_of("forces", read_force)
     parts["points"] = problems.attempt(_read_points, content.get("points", []))
     couplings = all_of("couplings", partial(read_table, Coupling))
@@ -234,10 +238,10 @@ def section_keys(shape: str) -> tuple[list[str], list[str]]:
     return ["shape", *required], optional
 
 
-def _read_link(table: object, place: str, materials: Any, sections: Any) -> Link:
+def _read_link(table: object, place: str, materials: Any, sections: Any, folder: Path = Path()) -> Link:
     problems = Problems()
     required, optional = keys_of(Link)
-    if not (isinstance(table, dict) and "axis" in table):
+    if not (isinstance(table, dict) and ("axis" in table or _is_reduced(table.get("body")))):
         required, optional = [*required, "length"], [key for key in optional if key != "length"]
     settings = checked_table(table, place, required, optional, problems)
     for key, known in (("section", sections), ("material", materials)):
@@ -259,8 +263,36 @@ def _read_link(table: object, place: str, materials: Any, sections: Any) -> Link
         header, read = f"{place} axis", partial(read_table, AxisPoint)
         settings["axis"] = problems.attempt(read_list, settings["axis"], header, read)
     if "body" in settings:
-        settings["body"] = problems.attempt(read_table, RigidBody, settings["body"], f"{place} body")
+        settings["body"] = problems.attempt(_read_body, settings["body"], f"{place} body", folder)
     return build(Link, settings, place, problems)
+
+
+def _is_reduced(table: Any) -> bool:
+    return isinstance(table, dict) and bool(table.keys() & {"file", "stiffness", "interfaces"})
+
+
+def _read_body(table: object, place: str, folder: Path) -> RigidBody | ReducedBody:
+    """A rigid body, or a reduced one of a file or of two, whose names are relative to a folder."""
+    if not _is_reduced(table):
+        return read_table(RigidBody, table, place)
+    problems, of_one = Problems(), "file" in table
+    whole = f"{place} of {'a file' if of_one else 'two files'}"
+    settings = checked_table(table, whole, *(BODY_FILE_KEYS if of_one else keys_of(read_matrices)), problems)
+    with problems.noted(), located(place):
+        for key in ("file",) if of_one else ("mass", "stiffness"):
+            if settings[key] is not ABSENT:
+                settings[key] = folder / _file_name(settings[key], key)
+    if ABSENT in settings.values():
+        problems.failed = True
+    problems.refuse()
+    with located(place):
+        return load_body(settings.pop("file"), **settings) if of_one else read_matrices(**settings)
+
+
+def _file_name(name: object, key: str) -> str:
+    if not isinstance(name, str) or not name or "\0" in name:
+        raise InputError(f'Argument `{key}` of a reduced body must be a path, but was {name!r}; write "rocker.npz".')
+    return name
 
 
 def _read_station(table: object, place: str, sections: Any) -> Station:
