@@ -141,7 +141,7 @@ def require_metric(name: str, subjects: MetricSubjects, whole: str, of: str = ""
     known: Mapping[str, Any] = (by_kind | {"coupling": subjects.couplings})[kind.of]
     wanted, _, _ = owner.partition("@")
     if kind.of == "link":
-        divided(owner)
+        _require_divisible(name, owner, subjects, of)
     if kind.of == "point" and wanted in subjects.named:
         known = {**known, wanted: PointSubject(subjects.driven)}
     if kind.of == "point" and "@" in owner and not kind.instant:
@@ -165,11 +165,6 @@ def require_metric(name: str, subjects: MetricSubjects, whole: str, of: str = ""
             f"Argument `metrics`{of} must fit the {whole}, but `{name}` is of a coupling and it has none; add a table "
             "[[mechanism.couplings]], or `Coupling` objects among its `forces`."
         )
-    if kind.of == "link" and "@" in owner and isinstance(known.get(wanted), LinkSubject) and known[wanted].reduced:
-        raise InputError(
-            f"Argument `metrics`{of} must be of the end of link `{wanted}`, whose reduced body has no sections between "
-            f"its interfaces, but is `{name}`; write `{wanted}.{kind.name}`, or follow a point at an interface."
-        )
     if wanted not in (*known, "*"):
         near = (*known, *subjects.named) if kind.of == "point" else known
         raise InputError(
@@ -182,6 +177,16 @@ def require_metric(name: str, subjects: MetricSubjects, whole: str, of: str = ""
     if wanted not in having:
         raise InputError(_not_had(name, kind, None if wanted == "*" else known[wanted], having, of))
     return (name,)
+
+
+def _require_divisible(name: str, owner: str, subjects: MetricSubjects, of: str) -> None:
+    """Raise InputError for a fraction of a link that is none, or of a link that has no sections."""
+    link, fraction = divided(owner)
+    if fraction != 1.0 and link in subjects.links and subjects.links[link].reduced:
+        raise InputError(
+            f"Argument `metrics`{of} must be of the end of link `{link}`, whose reduced body has no sections between "
+            f"its interfaces, but is `{name}`; write `{name.replace(owner, link, 1)}`, or follow a point at an interface."
+        )
 
 
 def refusal_of(kind: MetricKind, subject: Subject) -> str | None:
