@@ -185,7 +185,7 @@ def _require_divisible(name: str, owner: str, subjects: MetricSubjects, of: str)
     if fraction != 1.0 and link in subjects.links and subjects.links[link].reduced:
         raise InputError(
             f"Argument `metrics`{of} must be of the end of link `{link}`, whose reduced body has no sections between "
-            f"its interfaces, but is `{name}`; write `{name.replace(owner, link, 1)}`, or follow a point at an interface."
+            f"its interfaces, but is `{name}`; write `{name.replace(owner, link, 1)}`, or follow a point there."
         )
 
 

@@ -152,7 +152,7 @@ def range_used(topology: Topology, position: Coordinates) -> Float[Array, ""]:
     elements phi_y and phi_z (inaccurate long before), for exact ones phi_z (singular at 90 deg)."""
     turned = position.elastic[3:]
     if topology.reduced:
-        turned = jnp.where(topology.carriers, 0.0, turned)
+        turned = jnp.where(topology.carriers[None], 0.0, turned)
     if topology.exact:
         return jnp.max(jnp.abs(turned[2]), initial=0.0) / EXACT_LIMIT
     return jnp.max(jnp.abs(turned[1:]), initial=0.0) / LINEAR_LIMIT

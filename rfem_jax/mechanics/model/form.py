@@ -181,8 +181,9 @@ def sde_stiffness(
     compliance, _ = jax.lax.scan(add, jnp.zeros((6, 6, sde.shape[1])), segments)
     if not none.any():
         return vectors.invert_positive(compliance)
-    compliance = jnp.where(none, np.eye(6)[:, :, None], compliance)
-    return jnp.where(none, 0.0, vectors.invert_positive(compliance))
+    there = none[None, None]
+    compliance = jnp.where(there, np.eye(6)[:, :, None], compliance)
+    return jnp.where(there, 0.0, vectors.invert_positive(compliance))
 
 
 def bodies_of(

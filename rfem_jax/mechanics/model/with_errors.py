@@ -167,7 +167,7 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
 def _inverse_inertia(topology: Topology, inertia: Float[Array, "3 3 rfes"]) -> Float[Array, "3 3 rfes"]:
     """Inverse inertias; of the free rfes of superelements, which have none, of any."""
     if topology.reduced:
-        inertia = inertia + jnp.asarray(vectors.IDENTITY)[:, :, None] * topology.reduced_rfes
+        inertia = inertia + np.asarray(vectors.IDENTITY)[:, :, None] * topology.reduced_rfes
     return vectors.invert_positive(inertia)
 
 
