@@ -21,6 +21,7 @@ JOINTS = {
     "straight_line": ("A", "B", "D", "C"),
     "slider_crank": ("A", "B", "G", "P"),
     "connecting_rod": ("A", "B", "G", "P"),
+    "rocker_from_mesh": ("A", "B", "D", "C"),
     "toggle": ("A", "B", "G", "C"),
     "six_bar_press": ("A", "B", "D", "C", "E", "G", "F"),
     "balancing/slider_crank.toml": ("A", "B", "G", "P"),
@@ -291,6 +292,30 @@ def test_connecting_rod(run_command):
     force, moment = (0.5 * (loads["B"][kind] + loads["P"][kind]) for kind in ("rms_force", "rms_moment"))
     assert moment == pytest.approx(2.0 / np.pi * force * 2e-4, rel=1e-2)
     assert cases["bowed_in_plane"]["joints"]["P"]["rms_moment"] < 1e-3 * moment
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "preload"),
+    [
+        ("study", (26.84, 18.57, 25.91)),
+        pytest.param("beam", (27.90, 18.38, 26.21), marks=pytest.mark.long),
+    ],
+)
+def test_rocker_from_mesh(run_command, name, preload):
+    """The body of the study is found beside it; preloads of D by its three errors, weights included."""
+
+    def beside(content):
+        coupler, rocker = content["mechanism"]["links"][1:]
+        coupler["rfes"] = rocker["rfes"] = 5
+        if "body" in rocker:
+            rocker["body"]["file"] = str(STUDIES / "rocker_from_mesh" / rocker["body"]["file"])
+
+    out, _ = run_command("run", reduced(f"rocker_from_mesh/{name}.toml", change=beside))
+    cases = json.loads((out / "results.json").read_text())["cases"]
+    assert all(case["status"] == "ok" for case in cases.values())
+    found = [np.linalg.norm(cases[one]["joints"]["D"]["preload_force"]) for one in [*cases][1:4]]
+    np.testing.assert_allclose(found, preload, atol=0.3 if name == "beam" else 0.01)
 
 
 def balancing(name):
