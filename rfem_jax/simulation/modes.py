@@ -131,10 +131,12 @@ def _natural(model: Model, errors: AssemblyErrors, hold: dict[str, Array] | str 
 
 
 def _coordinates(topology: Topology) -> np.ndarray | None:
-    """Places of the coordinates without displacements in slender links, which follow from angles; None without."""
-    if not topology.slender:
-        return None
+    """Places of the coordinates without displacements in slender links, which follow from angles, and without those
+    that superelements leave over; None without any."""
     dependent = np.concatenate([np.tile(topology.slender_rfes, (3, 1)), np.zeros((3, topology.n_rfes), bool)])
+    dependent |= topology.left_over
+    if not dependent.any():
+        return None
     return np.flatnonzero(np.append(np.zeros(topology.n_freedoms, bool), dependent.reshape(-1)) == 0)
 
 

@@ -163,11 +163,7 @@ def evaluate_residual(
         moment = apply_transposed(motion.relative.rate_matrix, on_moment - inertial[1][:, n:])
         force = elastic[:3] + on_force - inertial[0][:, n:]
         force, moment = projected(actual, motion.relative, force, elastic[3:] + moment)
-        closing = closing_rate = closing_acceleration = jnp.zeros((0,))
-        if cuts is not None:
-            closing, closing_rate = spring_residual(topology, cuts, multipliers, cuts.residual), cuts.rate
-            closing_acceleration = cuts.bias + _closing_acceleration(topology, cuts, spatial, accelerations)
-            closing_acceleration = spring_residual(topology, cuts, multipliers, closing_acceleration)
+        closing, closing_rate, closing_acceleration = _closings(topology, cuts, multipliers, spatial, accelerations)
         return Evaluation(
             hinge=hinge,
             force=force,
@@ -321,6 +317,21 @@ def _interface_loads(
     if not columns:
         return jnp.zeros_like(motion.relative.linear), jnp.zeros_like(motion.relative.linear)
     return jnp.stack(forces, axis=1), jnp.stack(moments, axis=1)
+
+
+def _closings(
+    topology: Topology,
+    cuts: Closure | None,
+    multipliers: Float[Array, " constraints"],
+    spatial: dict[int, Array],
+    accelerations: Coordinates,
+) -> tuple[Array, Array, Array]:
+    """Phi and its derivatives, as of `Evaluation`."""
+    if cuts is None:
+        return (jnp.zeros((0,)),) * 3
+    second = cuts.bias + _closing_acceleration(topology, cuts, spatial, accelerations)
+    closing, second = (spring_residual(topology, cuts, multipliers, one) for one in (cuts.residual, second))
+    return closing, cuts.rate, second
 
 
 def _closing_acceleration(

@@ -369,6 +369,14 @@ class Topology(NamedTuple):
         return np.isin(np.arange(self.n_rfes), [k for some in last for k in some])
 
     @property
+    def left_over(self) -> Bool[np.ndarray, "6 rfes"]:
+        """Which coordinates of free rfes are left over by superelements."""
+        found = np.zeros((6, self.n_rfes), dtype=bool)
+        for one in self.reduced:
+            found[6 - one.idle :, self.ranges[one.link][1] - 1] = True
+        return found
+
+    @property
     def slender_rfes(self) -> Bool[np.ndarray, " rfes"]:
         """Whether every free rfe is of a link whose segments neither stretch nor shear."""
         return np.isin(self.link_of_rfe, self.slender)

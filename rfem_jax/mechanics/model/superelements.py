@@ -99,7 +99,7 @@ def superelement_of(body: ReducedBody, damping: Number) -> Superelement:
     reduced = onto.T @ stiffness @ onto
     arrays = (
         onto.T @ mass @ onto + np.diag(np.where(pads, body.total_mass, 0.0)),
-        reduced + np.diag(np.where(pads, np.diag(reduced).max(), 0.0)),
+        reduced + np.diag(np.where(pads, body.total_mass * _slowest(body) if pads.any() else 0.0, 0.0)),
         np.asarray(damping) if isinstance(damping, float) else damping,
         momentum[:3],
         momentum[3:],
@@ -107,6 +107,12 @@ def superelement_of(body: ReducedBody, damping: Number) -> Superelement:
     )
     stresses = None if body.stresses is None else jnp.asarray(body.stresses @ onto, jnp.float64)
     return Superelement(*(jnp.asarray(one, jnp.float64) for one in arrays), stresses)
+
+
+def _slowest(body: ReducedBody) -> float:
+    """Square of the lowest frequency [rad^2/s^2] of its modes alone; of coordinates that are left over, too."""
+    first = 6 * len(body.interfaces)
+    return float(np.min(np.diag(body.stiffness)[first:] / np.diag(body.mass)[first:], initial=1e300))
 
 
 def _coordinates(body: ReducedBody) -> tuple[Float[np.ndarray, "N k"], np.ndarray]:
