@@ -88,11 +88,12 @@ def test_an_archive_in_other_units(body, tmp_path):
 
 
 @pytest.mark.parametrize("sparse", [True, False])
-def test_matrices_of_matrix_market(body, tmp_path, sparse):
+@pytest.mark.parametrize("symmetry", ["symmetric", "general"])
+def test_matrices_of_matrix_market(body, tmp_path, sparse, symmetry):
     content = in_mm_and_t(body)
     for name in ("mass", "stiffness"):
         own = coo_array(content[name]) if sparse else content[name]
-        mmwrite(tmp_path / f"{name}.mtx", own, symmetry="symmetric", precision=16)
+        mmwrite(tmp_path / f"{name}.mtx", own, symmetry=symmetry, precision=16)
     assert ("coordinate" if sparse else "array") in (tmp_path / "mass.mtx").read_text(encoding="utf-8")
     paths = tmp_path / "mass.mtx", tmp_path / "stiffness.mtx"
     places = [[0, 0, 0], ["300 mm", 0, "1 cm"]]
@@ -176,6 +177,7 @@ SHORT = "GRID,1,,0.,0.,0.\nDMIG,KAAX,0,6,2,0,,,6\nDMIG,KAAX,1,1,,1,1,1.0\nDMIG,M
         ("bar.npz", b"PK\x03\x04rubbish", ("an archive of NumPy",)),
         ("bar.npz", {"masses": np.eye(12)}, ("`masses`", "did you mean `mass`?")),
         ("bar.npz", {"mass": np.eye(12)}, ("array `interfaces`", "none")),
+        ("bar.npz", {"mass": 1j * np.eye(12)}, ("complex numbers",)),
         ("bar.npz", {"mass": np.array([{}], dtype=object)}, ("Object arrays cannot be loaded",)),
         (
             "bar.npz",
@@ -189,6 +191,7 @@ SHORT = "GRID,1,,0.,0.,0.\nDMIG,KAAX,0,6,2,0,,,6\nDMIG,KAAX,1,1,,1,1,1.0\nDMIG,M
         ("bar.bdf", SHORT, ("component 2 of GRID 1", "six rows")),
         ("bar.bdf", SHORT.replace("GRID,1,,", "GRID,1,5,"), ("basic coordinate system", "GRID 1")),
         ("bar.bdf", SHORT.replace("GRID,1,", "GRID,2,"), ("GRID entry for point 1",)),
+        ("bar.bdf", SHORT.replace("KAAX,1,1,", "KAAX,1,7,"), ("components 1 to 6 of GRID 1", "7")),
         ("bar.bdf", SHORT.replace("1.0", "one"), ("numbers in all fields", "one")),
         ("bar.bdf", SHORT.replace("KAAX,0,6,2", "KAAX,0,6,4"), ("KAAX is of form 6 and type 4",)),
         ("bar.bdf", SHORT.replace("DMIG,MAAX,0,6,2,0,,,6\n", ""), ("head of a matrix", "MAAX has none")),
@@ -237,12 +240,20 @@ MATRICES = {"mass": "m.mtx", "stiffness": "k.mtx", "interfaces": [[0, 0, 0]]}
         (MATRICES | {"interfaces": [[0, 0]]}, ("`interfaces` (place 1)", "three components")),
         (MATRICES, ("m.mtx", "there is none")),
         (MATRICES | {"mass": "rubbish.mtx"}, ("rubbish.mtx", "Matrix Market")),
+        (MATRICES | {"mass": "complex.mtx"}, ("complex.mtx", "real matrix")),
         (MATRICES | {"mass": "huge.mtx"}, ("huge.mtx", "at most 3000 rows")),
+        (MATRICES | {"mass": "short.mtx"}, ("short.mtx", "9 numbers, not 10")),
+        (MATRICES | {"mass": "fewer.mtx"}, ("fewer.mtx", "1 entries, of 2")),
     ],
 )
 def test_wrong_tables_are_refused(refused, tmp_path, table, pieces):
     (tmp_path / "rubbish.mtx").write_text("%%MatrixMarket\nno", encoding="utf-8")
+    mmwrite(tmp_path / "complex.mtx", np.eye(12) * 1j)
     huge = "%%MatrixMarket matrix coordinate real symmetric\n1000000 1000000 1\n1 1 1.0\n"
+    short = "%%MatrixMarket matrix array real symmetric\n4 4\n" + "1.0\n" * 9
+    (tmp_path / "short.mtx").write_text(short, encoding="utf-8")
+    fewer = "%%MatrixMarket matrix coordinate real general\n4 4 2\n1 1 1.0\n"
+    (tmp_path / "fewer.mtx").write_text(fewer, encoding="utf-8")
     (tmp_path / "huge.mtx").write_text(huge, encoding="utf-8")
     with refused(*pieces):
         _read_body(table, "[[mechanism.links]] `bar` body", tmp_path)

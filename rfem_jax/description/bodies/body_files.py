@@ -11,17 +11,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from rfem_jax.description.basics.errors import InputError, located, suggestion
-from rfem_jax.description.basics.units import Quantities, Quantity, vector
-from rfem_jax.description.bodies.bulk_data import ENDINGS, read_bulk_data
+from rfem_jax.description.basics.units import Quantities, Quantity, short, vector
+from rfem_jax.description.bodies.bulk_data import ENDINGS, MOST_ROWS, read_bulk_data
 from rfem_jax.description.bodies.file_units import SI_UNITS, in_si, read_units
 from rfem_jax.description.mechanism.reduced_bodies import ReducedBody
 from rfem_jax.whole_files import write_whole
 
 KEYS = tuple(field.name for field in fields(ReducedBody))
 NEEDED = ("interfaces", "mass", "stiffness")
-_MOST_ROWS = 3000  # of reduced matrices; a full one of a mesh is a mistake that takes all memory
 
 
 def save_body(body: ReducedBody, path: str | Path) -> Path:
@@ -56,8 +56,8 @@ def load_body(path: str | Path, damping: Quantity | None = None, units: Sequence
         path: an archive of NumPy (.npz) with the arguments of ReducedBody by their names, or bulk data (.bdf, .dat,
             .nas, .pch, .asm) with GRID entries of the interfaces and DMIG entries KAAX and MAAX, whose other points
             are modes; interfaces are in the ascending order of their grids.
-        damping: eta [s], in the place of that in the file.
-        units: of length, mass and time in the file, such as ("mm", "t", "s").
+        damping: eta [s] >= 0, in the place of that in the file: the damping matrix is eta times the stiffness.
+        units: those of length, mass and time in the file, as ["mm", "t", "s"].
     Raises:
         InputError: the file is missing, damaged, or holds something else.
     """
@@ -96,10 +96,10 @@ def read_matrices(
     """Read a reduced body from two files in the format of Matrix Market.
 
     Args:
-        mass, stiffness: paths.
-        interfaces: places (x, y, z) of the interfaces [m].
-        damping: eta [s].
-        units: of length, mass and time in the files.
+        mass, stiffness: path of the matrix, whose rows are those of a ReducedBody.
+        interfaces: places (x, y, z) [m] of the interfaces, in the axes of the link.
+        damping: eta [s] >= 0: the damping matrix is eta times the stiffness.
+        units: those of length, mass and time in the files, as ["mm", "t", "s"].
     Raises:
         InputError: a file is missing, damaged, or holds something else.
     """
@@ -130,6 +130,8 @@ def _read_archive(path: Path) -> dict[str, Any]:
         np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive,
     ):
         content = {name: archive[name] for name in archive.files}
+        if any(np.iscomplexobj(one) for one in content.values()):
+            raise ValueError("it has complex numbers")
     for name in content:
         if name not in KEYS:
             raise InputError(
@@ -145,18 +147,34 @@ def _read_archive(path: Path) -> dict[str, Any]:
     return content
 
 
-def _matrix_market(path: Path) -> Any:
-    from scipy.io import mminfo, mmread
-
+def _matrix_market(path: Path) -> Float[np.ndarray, "N N"]:
+    """A dense matrix of a file. (The reader of SciPy ends the process where numbers of a list are missing.)"""
     with _readable(path, "a matrix in the format of Matrix Market"):
-        rows, columns, *_ = mminfo(path)
-        if max(rows, columns) <= _MOST_ROWS:
-            matrix: Any = mmread(path)
-            return matrix.toarray() if hasattr(matrix, "toarray") else matrix
-    raise InputError(
-        f"Reduced body `{path}` must have at most {_MOST_ROWS} rows, but has {rows}; reduce the matrices to interfaces "
-        "and modes first, for example by craig_bampton."
-    )
+        head, *lines = path.read_text(encoding="utf-8").splitlines()
+        mark, kind, layout, field, symmetry = head.lower().split()
+        wrong = mark != "%%matrixmarket" or kind != "matrix" or layout not in ("array", "coordinate")
+        if wrong or field not in ("real", "integer") or symmetry not in ("general", "symmetric"):
+            raise ValueError(f"it begins with {short(head)!r}, not with that of a real matrix, general or symmetric")
+        numbers = " ".join(line for line in lines if not line.startswith("%")).split()
+        rows, columns = int(numbers[0]), int(numbers[1])
+        if rows != columns or not 0 < rows <= MOST_ROWS:
+            raise ValueError(f"it is {rows} x {columns}, and reduced ones are square, of at most {MOST_ROWS} rows")
+        matrix = np.zeros((rows, rows))
+        if layout == "array":
+            values = np.array(numbers[2:], dtype=float)
+            column, row = np.triu_indices(rows) if symmetry == "symmetric" else np.indices(matrix.shape).reshape(2, -1)
+        else:
+            row, column, values = np.array(numbers[3:], dtype=float).reshape(-1, 3).T
+            if len(values) != int(numbers[2]) or min(row.min(), column.min()) < 1:
+                raise ValueError(f"it has {len(values)} entries, of {numbers[2]}, or one without a row")
+            row, column = row.astype(int) - 1, column.astype(int) - 1
+        if len(values) != len(row):
+            raise ValueError(f"it has {len(values)} numbers, not {len(row)}")
+        np.add.at(matrix, (row, column), values)
+        if symmetry == "symmetric":
+            apart = row != column
+            np.add.at(matrix, (column[apart], row[apart]), values[apart])
+    return matrix
 
 
 @contextmanager

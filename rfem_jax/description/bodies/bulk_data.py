@@ -18,6 +18,7 @@ import numpy as np
 from rfem_jax.description.basics.errors import InputError
 
 ENDINGS = (".bdf", ".dat", ".nas", ".pch", ".asm")
+MOST_ROWS = 3000  # of reduced matrices; a full one of a mesh is a mistake that takes all memory
 _DEEPEST = 10  # files that include each other
 _LARGEST = 100_000_000  # bytes of a file
 _REAL = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))(?:[edED]?([+-]?\d+))?$")
@@ -35,10 +36,14 @@ def read_bulk_data(path: Path) -> dict[str, Any]:
     stiffness, mass = data.matrix("K", "stiffness"), data.matrix("M", "mass")
     used = sorted({place for entries in (stiffness, mass) for pair in entries for place in pair})
     grids, modes = [], []
+    if len(used) > MOST_ROWS:
+        data.refuse(f"have at most {MOST_ROWS} rows, but has {len(used)}; reduce the matrices to interfaces and modes")
     for point, component in used:
-        if point in data.grids and component:
+        if point in data.grids:
+            if not 1 <= component <= 6:
+                data.refuse(f"have components 1 to 6 of GRID {point}, but has {component}; correct it")
             grids.append(point)
-        elif point in data.grids or (component > 1 if point in data.scalars else component):
+        elif component > 1 or (component and point not in data.scalars):
             data.refuse(
                 f"have a GRID entry for point {point}, whose component {component} its matrices have, but has none; "
                 "include the file with its GRID entries, by INCLUDE"
@@ -150,6 +155,8 @@ class _BulkData:
     def _matrix(self, fields: list[str]) -> None:
         name, grid, *rest = (*fields[1:], *[""] * 4)
         name = name.upper()
+        if not name:
+            raise ValueError("a matrix without a name")
         if _whole(grid) == 0:  # the head of a matrix
             form, kind = _whole(rest[0]), _whole(rest[1])
             if name in self.forms:
