@@ -1,13 +1,34 @@
 """Reduced bodies in files: what is written is read, in all formats and units; what is wrong is said in a sentence."""
 
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.io import mmwrite
 from scipy.sparse import coo_array
 
-from rfem_jax import Interface, ReducedBody, craig_bampton, load_body, save_body
+from rfem_jax import (
+    Interface,
+    Joint,
+    Link,
+    Mechanism,
+    Problem,
+    ReducedBody,
+    RungeKutta4,
+    Simulation,
+    craig_bampton,
+    discretise,
+    load_body,
+    save_body,
+)
+from rfem_jax.compilation import keys
 from rfem_jax.description.bodies.body_files import read_matrices
-from rfem_jax.description.study_file.study_reader import _read_body
+from rfem_jax.description.study_file import study_reader
+from rfem_jax.tolerancing.problems.kept_evaluations import known_content
+
+_read_body = study_reader._read_body
 
 MM = ("mm", "t", "s")
 
@@ -225,6 +246,35 @@ def test_wrong_tables_are_refused(refused, tmp_path, table, pieces):
     (tmp_path / "huge.mtx").write_text(huge, encoding="utf-8")
     with refused(*pieces):
         _read_body(table, "[[mechanism.links]] `bar` body", tmp_path)
+
+
+def test_the_guide_names_files_in_all_formats(body, tmp_path):
+    guide = (Path(__file__).parents[2] / "docs" / "guides" / "own_mechanism.md").read_text(encoding="utf-8")
+    text = guide.split("## Links from a finite element program")[1].split("```toml\n")[1].split("```")[0]
+    save_body(body, tmp_path / "rocker.npz")
+    content = in_mm_and_t(body)
+    (tmp_path / "fork.bdf").write_text(HEAD + as_bulk_data(content, "free"), encoding="utf-8")
+    for name, letter in (("mass", "m"), ("stiffness", "k")):
+        mmwrite(tmp_path / f"arm_{letter}.mtx", getattr(body, name), precision=16)
+    links = tomllib.loads(text)["mechanism"]["links"]
+    for link in links:
+        read = study_reader._read_link(link, f"[[mechanism.links]] `{link['name']}`", {}, {}, tmp_path)
+        np.testing.assert_allclose(read.body.stiffness, body.stiffness, rtol=1e-9, atol=1e-6)
+        np.testing.assert_allclose(read.body.interfaces, body.interfaces, atol=1e-12)
+        assert read.length == pytest.approx(np.hypot(0.3, 0.01))
+    assert len(links) == 3
+
+
+def test_another_body_is_another_problem(body):
+    """What an interrupted study compares: the content of the file, not its name."""
+    other = replace(body, stiffness=body.stiffness * (1.0 + 1e-9))
+    joints, method = [Joint("A", "base", "bar")], RungeKutta4(step=1e-5)
+    mechanisms = [Mechanism([Link("bar", body=one)], joints) for one in (body, replace(body), other)]
+    simulations = [Simulation(discretise(one), drive=None, duration=0.1, method=method) for one in mechanisms]
+    problems = [Problem(one, ["A.rms_force"]) for one in simulations]
+    for kinds in (map(known_content, problems), map(keys.digest_content, mechanisms)):
+        first, again, changed = kinds
+        assert first == again != changed and first is not None
 
 
 def test_where_a_body_cannot_be_written(refused, body, tmp_path):
