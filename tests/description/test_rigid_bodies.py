@@ -70,7 +70,7 @@ def test_a_study_file(tmp_path):
         (lambda: RigidBody(1.0, (0, 0, 0), [[1, 0], [0, 1], [0, 0]]), ("`inertia` of a body (row 1)",)),
         (lambda: Link("a", 0.1, body=3.0), ("`body` of link `a`", "a RigidBody")),
         (lambda: Link("a", 0.1, Rectangle(0.01, 0.01), body=BODY), ("`section` of link `a`", "has a body")),
-        (lambda: Link("a", 0.1, body=BODY, rfes=7), ("`rfes` of link `a`", "which is rigid")),
+        (lambda: Link("a", 0.1, body=BODY, rfes=7), ("`rfes` of link `a`", "which is not divided")),
         (lambda: Link("a", 0.1), ("`section` of link `a`", "or a `body`")),
     ],
 )

@@ -59,8 +59,15 @@ def _curved_line(
     first = topology.n_links + topology.ranges[link][0] - 1
     nodes = np.where(rfes == 0, link, first + rfes)
     rest = jnp.concatenate([jnp.zeros((3, topology.n_links)), actual.rest], axis=1)
-    arm = form.at(link, shares * form.whole(link)).position - rest[:, nodes]
-    return (point[:, nodes] + vectors.apply(rotation[:, :, nodes], arm)).T
+    place = form.at(link, shares * form.whole(link)).position
+
+    def carried(nodes):
+        return point[:, nodes] + vectors.apply(rotation[:, :, nodes], place - rest[:, nodes])
+
+    line, share = carried(nodes), topology.drawn_with(link)
+    if share is not None:
+        line = line + share[None] * (carried(first + rfes + 1) - line)
+    return line.T
 
 
 class Shape(NamedTuple):

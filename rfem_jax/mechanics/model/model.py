@@ -396,9 +396,20 @@ class Topology(NamedTuple):
         """Shares of its length at which a link is drawn, and the numbers of the rfes that hold these."""
         for one in self.reduced:
             if one.link == link:
-                shares = np.linspace(0.0, 1.0, DRAWN * max(len(one.shares), 2) + 1)
-                return shares, np.abs(shares[:, None] - np.array([0.0, *one.shares])).argmin(axis=1)
+                shares = np.linspace(0.0, 1.0, DRAWN * max(2 * len(one.shares), 3) + 1)
+                return shares, np.searchsorted(one.shares, shares, side="right").clip(0, len(one.shares) - 1)
         return drawn(self.elements[link])
+
+    def drawn_with(self, link: int) -> Float[np.ndarray, " points"] | None:
+        """How much every drawn point of a superelement moves with the interface after that of `drawn`, so that the line
+        between both is smooth; None of other links."""
+        for one in self.reduced:
+            if one.link == link:
+                shares, before = self.drawn(link)
+                places = np.array([0.0, *one.shares])
+                part = (shares - places[before]) / (places[before + 1] - places[before])
+                return part**2 * (3.0 - 2.0 * part)
+        return None
 
     def end_of(self, link: int) -> int:
         """The node at the far end of a link: its last rfe, or the last interface of a superelement."""
