@@ -148,6 +148,14 @@ def test_bulk_data(body, tmp_path, form, symmetric, rtol):
         assert_same(_read_body(table, "body", tmp_path), wanted, rtol)
 
 
+def test_a_file_that_is_cut_short_is_refused(refused, body, tmp_path):
+    path = tmp_path / "bar.bdf"
+    text = HEAD + as_bulk_data(in_mm_and_t(body), "free")
+    path.write_text(text[: text.rindex("DMIG,MAAX")], encoding="utf-8")
+    with refused("mass and stiffness of every mode", "point 9"):
+        load_body(path, units=MM)
+
+
 def test_grids_stand_in_the_order_of_their_numbers(body, tmp_path):
     """The matrices are of grids 20 and 10; the body is that of 10 and 20."""
     content, path = in_mm_and_t(body), tmp_path / "bar.bdf"

@@ -50,6 +50,9 @@ def read_bulk_data(path: Path) -> dict[str, Any]:
             )
         else:
             modes.append((point, component))
+    cut = [mode for mode in modes if any(entries.get((mode, mode), 0.0) <= 0.0 for entries in (stiffness, mass))]
+    if cut:
+        data.refuse(f"have mass and stiffness of every mode, but lacks one of point {cut[0][0]}; it may be cut short")
     grids = sorted(set(grids))
     rows = [(grid, component) for grid in grids for component in range(1, 7)] + modes
     missing = sorted(set(rows) - set(used))
