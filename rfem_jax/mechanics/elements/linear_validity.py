@@ -44,6 +44,8 @@ def linear_range(actual: ModelWithErrors, position: Coordinates) -> LinearRange:
         return LinearRange(jnp.zeros(()), jnp.zeros((0,)), jnp.zeros((0,)))
     actual, position = jax.lax.stop_gradient((actual, position))
     phi = _in_section(actual, position.elastic[3:])
+    if topology.reduced:  # amplitudes turn nothing
+        phi = jnp.where(topology.carriers[None], 0.0, phi)
     bending, turned = jnp.sum(phi[1:] ** 2, axis=0), jnp.sum(phi**2, axis=0)
     at_rest = State(position, jax.tree.map(jnp.zeros_like, position))
     stretch, _ = elasticity.deflections(actual, at_rest)
