@@ -75,7 +75,7 @@ def test_files_that_the_map_of_the_house_names_exist():
 
 
 def test_the_index_of_the_theory_leads_to_every_chapter_and_every_picture_is_shown():
-    assert len(CHAPTERS) == 18 and PICTURES
+    assert len(CHAPTERS) == 19 and PICTURES
     index = LINK.findall((THEORY / "README.md").read_text(encoding="utf-8"))
     assert {path.name for path in CHAPTERS} <= set(index)
     shown = {link for path in CHAPTERS for link in LINK.findall(path.read_text(encoding="utf-8"))}

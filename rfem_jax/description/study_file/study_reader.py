@@ -273,7 +273,7 @@ def _is_reduced(table: Any) -> bool:
 
 def _read_body(table: object, place: str, folder: Path) -> RigidBody | ReducedBody:
     """A rigid body, or a reduced one of a file or of two, whose names are relative to a folder."""
-    if not _is_reduced(table):
+    if not isinstance(table, dict) or not _is_reduced(table):
         return read_table(RigidBody, table, place)
     problems, of_one = Problems(), "file" in table
     whole = f"{place} of {'a file' if of_one else 'two files'}"
