@@ -89,7 +89,7 @@ class Interface(ChecksItself):
         return np.linalg.solve(rigid.T @ (weights[:, None] * rigid), rigid.T * weights), np.eye(6)
 
 
-def rigid_motions(arms: Float[np.ndarray, "p 3"]) -> Float[np.ndarray, "3p 6"]:
+def rigid_motions(arms: Float[np.ndarray, "p 3"]) -> Float[np.ndarray, "3*p 6"]:
     """Displacements of points, each after the other, by those of the origin and by rotations about it."""
     motions = np.zeros((len(arms), 3, 6))
     motions[:, :, :3] = np.eye(3)
@@ -214,7 +214,7 @@ def _between_interfaces(stiffness: Any, ties: Any) -> Callable[[Any, Any], Any]:
     return displacements
 
 
-def _modes(mass: Any, stiffness: Any, flexibility: Callable[[Any], Any], modes: int) -> Float[np.ndarray, "3p m"]:
+def _modes(mass: Any, stiffness: Any, flexibility: Callable[[Any], Any], modes: int) -> Float[np.ndarray, "rows m"]:
     """Modes of lowest frequency between fixed interfaces, of unit modal mass."""
     from scipy.sparse.linalg import LinearOperator, eigsh
 
