@@ -124,7 +124,8 @@ class Link(NumberTree, ChecksItself):
         axis: AxisPoint objects, through which the axis of a link leads that is not straight, from the origin of its
             frame; (): the axis is x.
         smooth: True makes the axis the smooth curve through all points.
-        form_errors: True gives a straight link with a section errors of form, its bow.
+        form_errors: True gives a straight link with a section errors of form: its bow, and a twist that grows evenly
+            along it.
         flexibility: how a flexible link gives way, ["bending", "torsion"] or all four with "axial" and "shear" (None).
     Raises:
         InputError: a value is out of range or of the wrong kind.

@@ -67,7 +67,7 @@ _IN_A_FILE = {  # where a file has something else than the class
     "body": "table {mass = ..., centre = ..., inertia = ...} in the place of section and material; the link is rigid",
     "stations": "list of tables, [{x = ..., section = ..., after = ...}, ...]",
     "axis": "list of tables, [{to = ..., through = ...}, ...], through which a link leads that is not straight",
-    "form_errors": "whether a straight link has errors of form, its bow; set where a study names these",
+    "form_errors": "whether a straight link has errors of form, bow and even twist; set where a study names a bow",
     "point_masses": "list of tables, [{mass = ..., position = ...}, ...]",
     "compliance": "table { radial = ..., axial = ..., ... }; none: rigid",
     "clearance": "table { radial = ..., length = ..., stiffness = ..., ... } in the place of compliance; none: no play",

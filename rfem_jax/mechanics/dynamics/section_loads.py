@@ -387,7 +387,7 @@ def _shaped_piece_loads(
     """As `_piece_loads`, of a link with a form."""
     form, profile = actual.form, None if model.profiles is None else model.profiles[link]
     assert form is not None
-    scale, about = form.scale[link], _middles(actual, link, rfes)
+    scale, about = form.errors.scale[link], _middles(actual, link, rfes)
     parts = segments_of(profile, form.curves[link], *((x + about) / scale for x in piece))
     mass, moment, inertia = bodies_of(parts, form.of_link(link, len(rfes)), _rests(actual, link, rfes), form.hinge)
     there = mass != 0.0

@@ -4,9 +4,9 @@ Place in the pipeline: description.curves, profiles -> **form** -> building, wit
 
 All rfes keep axes parallel to those of their link at rest: their places, their bodies, the sdes' lever arms and the
 sdes' stiffness, a full matrix in link axes, have the whole form. A curve is run through by its arc length s, the share
-s / L of it has what depends on errors: the length's scale and the bow. Integrals are sums over points of Gauss between
-all places where a curve or its sections change, so that the program does not grow with the number of rfes. Source:
-theory (1.20) to (1.27).
+s / L of it has what depends on errors: the length's scale, the bow and the twist. Integrals are sums over points of
+Gauss between all places where a curve or its sections change, so that the program does not grow with the number of
+rfes. Source: theory (1.20) to (1.27), (1.32).
 """
 
 from collections.abc import Iterator, Sequence
@@ -89,49 +89,51 @@ class Shaped(NamedTuple):
     axes: Float[Array, "3 3 n"]
 
 
+class FormErrors(NamedTuple):
+    """Errors of n links, or of the links of n places: scale, lengths over nominal ones; bow [m], along y and z of the
+    links; twist [rad], by which the end is turned, zero of links without errors of form; length [m], nominal."""
+
+    scale: Float[Array, " n"]
+    bow: Float[Array, "2 n"]
+    twist: Float[Array, " n"]
+    length: Float[Array, " n"]
+
+
 class ActualForm(eqx.Module):
     """The forms of all links with their errors.
 
-    scale: lengths over nominal ones; bow [m], along y and z of the links; length [m], nominal; axes: of the sections at
-    the sdes; curves: as of `Form`; hinge: axis of the links that lies along the hinges, 1 or 2.
+    errors: of all links; axes: of the sections at the sdes; curves: as of `Form`; hinge: axis of the links that lies
+    along the hinges, 1 or 2.
     """
 
     curves: tuple[Curve, ...]
-    scale: Float[Array, " links"]
-    bow: Float[Array, "2 links"]
-    length: Float[Array, " links"]
+    errors: FormErrors
     axes: Float[Array, "3 3 rfes"]
     hinge: int = eqx.field(static=True)
 
     def at(self, link: int, s: Float[Values, " n"]) -> Shaped:
         """Places at lengths s [m] along a link that is as long as it is, undeformed, in its frame."""
-        nominal = s / self.scale[link]
+        nominal = s / self.errors.scale[link]
         found = self.curves[link].at(nominal)
-        places = Places(found.position, found.tangent, found.roll, nominal / self.length[link])
-        scale, bow, length = self.of_link(link, s.shape[0])
-        return shaped(places, scale, bow, length, self.hinge)
+        places = Places(found.position, found.tangent, found.roll, nominal / self.errors.length[link])
+        return shaped(places, self.of_link(link, s.shape[0]), self.hinge)
 
-    def of_link(self, link: int, n: int) -> tuple[Array, Array, Array]:
-        """Scale, bow and nominal length of one link n times, as `shaped` takes them."""
-        scale, bow, length = (
-            jnp.broadcast_to(one[..., link, None], (*one.shape[:-1], n)) for one in (self.scale, self.bow, self.length)
-        )
-        return scale, bow, length
+    def of_link(self, link: int, n: int) -> FormErrors:
+        """The errors of one link n times, as `shaped` takes them."""
+        return jax.tree.map(lambda one: jnp.broadcast_to(one[..., link, None], (*one.shape[:-1], n)), self.errors)
 
     def whole(self, link: int) -> Float[Array, ""]:
         """Length [m] of a link along its axis, with its error."""
-        return self.scale[link] * self.length[link]
+        return self.errors.scale[link] * self.errors.length[link]
 
 
-def shaped(
-    places: Places, scale: Float[Array, " n"], bow: Float[Array, "2 n"], length: Float[Array, " n"], hinge: int
-) -> Shaped:
-    """Places with the errors of their links (theory (1.26))."""
-    across = jnp.concatenate([jnp.zeros((1, *scale.shape)), bow])
+def shaped(places: Places, errors: FormErrors, hinge: int) -> Shaped:
+    """Places with the errors of their links (theory (1.26), (1.32))."""
+    across = jnp.concatenate([jnp.zeros((1, *errors.scale.shape)), errors.bow])
     angle = np.pi * places.share
-    position = scaled(scale, places.position) + scaled(jnp.sin(angle), across)
-    tangent = scaled(scale, places.tangent) + scaled(np.pi / length * jnp.cos(angle), across)
-    return Shaped(position, tangent, section_axes(tangent, jnp.asarray(places.roll), hinge))
+    position = scaled(errors.scale, places.position) + scaled(jnp.sin(angle), across)
+    tangent = scaled(errors.scale, places.tangent) + scaled(np.pi / errors.length * jnp.cos(angle), across)
+    return Shaped(position, tangent, section_axes(tangent, places.roll + errors.twist * places.share, hinge))
 
 
 def wave(share: Float[Array, " n"]) -> Float[Array, " n"]:
@@ -152,16 +154,16 @@ def section_axes(tangent: Float[Array, "3 n"], roll: Float[Array, " n"], hinge: 
 
 
 def sde_stiffness(
-    segments: Segments, errors: tuple[Array, Array, Array], points: tuple[Array, Array, Array], hinge: int
+    segments: Segments, errors: FormErrors, points: tuple[Array, Array, Array], hinge: int
 ) -> Float[Array, "6 6 rfes"]:
-    """Stiffness of sdes in link axes, of errors (scale, bow, length) and points [m] of the sdes and of the begins and
+    """Stiffness of sdes in link axes, with the errors of their links, of points [m] of the sdes and of the begins and
     ends of their segments (theory (1.22) to (1.24))."""
     sde, begin, end = points
     chord = end - begin
     chord = scaled(1.0 / jnp.sqrt(dot(chord, chord)), chord)
 
     def add(total, segment):
-        place = shaped(segment.places, *errors, hinge)
+        place = shaped(segment.places, errors, hinge)
         apart = sde - place.position
         lever = cross_matrix(apart - scaled(dot(chord, apart), chord))
         to_force = vectors.transpose(place.axes)
@@ -179,13 +181,13 @@ def sde_stiffness(
 
 
 def bodies_of(
-    bodies: Segments, errors: tuple[Array, Array, Array], about: Float[Array, "3 nodes"], hinge: int
+    bodies: Segments, errors: FormErrors, about: Float[Array, "3 nodes"], hinge: int
 ) -> tuple[Float[Array, " nodes"], Float[Array, "3 nodes"], Float[Array, "3 3 nodes"]]:
-    """Mass, first moment about the reference points `about` and inertia about these of parts of links, of errors as
-    above (theory (1.25))."""
+    """Mass, first moment about the reference points `about` and inertia about these of parts of links, with the errors
+    of these (theory (1.25))."""
 
     def add(total, part):
-        place = shaped(part.places, *errors, hinge)
+        place = shaped(part.places, errors, hinge)
         apart = place.position + apply(place.axes, part.offset) - about
         stretch = jnp.sqrt(dot(place.tangent, place.tangent))
         mass = part.weight * part.density * stretch

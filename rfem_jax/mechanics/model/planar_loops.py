@@ -13,14 +13,17 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Float
 
 from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.tolerances.error_catalogue import BOWS
 from rfem_jax.mechanics.laws.line_loads import LineLoad
 from rfem_jax.mechanics.laws.point_laws import ConstantVector, GivenLoad
 from rfem_jax.mechanics.model.building import PartStructure, arrays_of
+from rfem_jax.mechanics.model.form import wave
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.nominal_geometry import (
     NominalGeometry,
@@ -267,16 +270,26 @@ def _error_opens(model: Model, state: _SelfStress, name: str) -> bool:
     owner, _, error = name.partition(".")
     if owner in topology.links:
         l = topology.links.index(owner)
-        sides = [(topology.parents, topology.parent_at_end), (topology.children, topology.child_at_end)]
-        there = [j for nodes, at_end in sides for j, node in enumerate(nodes)
-                 if at_end[j] and node >= 0 and topology.link_of(node) == l]  # fmt: skip
-        turns = error == "twist"
-        return any(state.loads(j, placed.rotation[l][:, 0], turns, placed.origin[l]) for j in there)
+        turns, axis = error == "twist", placed.rotation[l][:, "xyz".index(error[-1]) if error in BOWS else 0]
+        return any(state.loads(j, axis, turns, placed.origin[l]) for j in _reached(model, l, error))
     j = topology.joints.index(owner)
     of_child = error.startswith("child.")
     axes, centre = (placed.child_rotation, placed.child_centre) if of_child else (placed.joint_rotation, placed.centre)
     return state.loads(j, axes[j][:, "xyz".index(error[-1])], not error.removeprefix("child.").startswith("d_"),
                        centre[j])  # fmt: skip
+
+
+def _reached(model: Model, link: int, error: str) -> list[int]:
+    """The joints on a link that an error of it displaces or turns: at its end, by errors of form also before it."""
+    topology, form = model.topology, model.form
+    sides = [(topology.parents, topology.parent_at_end, "seats"), (topology.children, topology.child_at_end, "bores")]
+    found = []
+    for nodes, at_end, name in sides:
+        for j in (j for j, node in enumerate(nodes) if node >= 0 and topology.link_of(node) == link):
+            share = float(getattr(form, name)[j]) if form is not None and link in topology.formed else float(at_end[j])
+            if (wave(jnp.asarray(share)) if error in BOWS else share) > IN_PLANE:
+                found.append(j)
+    return found
 
 
 def _number_opens(model: Model, state: _SelfStress, name: str) -> bool:
