@@ -20,8 +20,8 @@ from rfem_jax.lazy_names import lazy_names as _lazy_names
 
 _names = {
     "description": (
-        "Automatic AxisPoint Base Bearing Case Circle Clearance Compliance Coupling DistributedForce Explicit "
-        "ForceFunction ForceRamp "
+        "Automatic AxisPoint Base Bearing CamberPoint Case Circle Clearance Compliance Coupling DistributedForce "
+        "Explicit ForceFunction ForceRamp "
         "ForceTable GeneralisedAlpha GivenSection InputError Joint JointForceFunction JointForceTable JointFriction "
         "JointSpring Leapfrog Link Material Mechanism Method MomentFunction "
         "MomentRamp MomentTable Point PointForce PointMass PointMoment PointSpring PointSpringFunction "

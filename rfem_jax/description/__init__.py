@@ -42,6 +42,7 @@ from rfem_jax.description.drives.translations import (
 from rfem_jax.description.mechanism.axes import AxisPoint
 from rfem_jax.description.mechanism.bases import Base
 from rfem_jax.description.mechanism.bearings import Bearing
+from rfem_jax.description.mechanism.cambers import CamberPoint
 from rfem_jax.description.mechanism.clearance import Clearance
 from rfem_jax.description.mechanism.compliance import Compliance
 from rfem_jax.description.mechanism.couplings import Coupling
@@ -97,6 +98,7 @@ __all__ = [
     "AxisPoint",
     "Base",
     "Bearing",
+    "CamberPoint",
     "Case",
     "ChannelSection",
     "Circle",

@@ -85,7 +85,7 @@ def link_rows(mechanism: Mechanism) -> list[list[str]]:
         if link.axis:
             shape += f"; axis through {len(link.axis) + 1} points"
         if link.form_errors:
-            shape += "; may be bowed"
+            shape += f"; camber at {len(link.camber)} places" if link.camber else "; may be bowed"
         if link.slender:
             shape += "; neither stretches nor shears"
         rows.append([link.name, f"{link.length:.6g}", f"{link.mass:.6g}", rfes, points, shape])

@@ -134,7 +134,7 @@ def header_of(place):
     """The header in the reference of a place that the reader names."""
     place = re.sub(r"^The top level$", "top level", place)
     place = re.sub(r"^\[\[mechanism\.links\]\] .* point_masses.*", "point_masses of [[mechanism.links]]", place)
-    place = re.sub(r"^\[\[mechanism\.links\]\] .* (stations|axis).*", r"\1 of [[mechanism.links]]", place)
+    place = re.sub(r"^\[\[mechanism\.links\]\] .* (stations|axis|camber).*", r"\1 of [[mechanism.links]]", place)
     place = re.sub(r"^\[\[mechanism\.joints\]\] `\w+` (\w+)$", r"\1 of [[mechanism.joints]]", place)
     place = re.sub(r"^\[\[mechanism\.links\]\] .* body$", "body of [[mechanism.links]]", place)
     place = re.sub(r"\[mechanism\.(materials|sections)\.\w+\]", r"[mechanism.\1.NAME]", place)
@@ -188,6 +188,8 @@ def asked(tmp_path, monkeypatch):
     study_reader.read_drives(tomllib.loads(SLIDES)["drives"])
     tables.read_table(Coupling, tomllib.loads(COUPLINGS)["mechanism"]["couplings"][0], "[[mechanism.couplings]]")
     study_reader._read_station({"section": "bar"}, "[[mechanism.links]] `rod` stations number 1", {"bar": Circle(0.01)})
+    rod = {"name": "rod", "length": 0.2, "section": "own", "camber": [{"x": 0.1, "y": "5 um"}]}
+    study_reader._read_link(rod, "[[mechanism.links]] `rod`", {}, {"own": GivenSection(*[1.0] * 10)})
     bent = {"name": "bent", "section": "own", "axis": [{"to": [0.1, 0, 0]}, {"to": [0.2, 0, 0.1], "roll": "5 deg"}]}
     study_reader._read_link(bent, "[[mechanism.links]] `bent`", {}, {"own": GivenSection(*[1.0] * 10)})
     tables.read_table(Statics, {"hold": "A", "rates": {"A": 1.0}}, "[statics]")

@@ -201,6 +201,8 @@ def _of_links(parts: Parts) -> Iterator[Parameter]:
         yield from _fields(owner, link, link.numbers, [path])
         for n, point in enumerate(link.axis):
             yield from _fields(owner, point, point.numbers, [(*path, "axis", n)], f"axis.{n + 1}.")
+        for n, point in enumerate(link.camber):
+            yield from _fields(owner, point, point.numbers, [(*path, "camber", n)], f"camber.{n + 1}.")
         if link.body is not None:
             yield from _of_body(owner, link.body, (*path, "body"))
         for n, mass in enumerate(link.point_masses, start=1):

@@ -15,6 +15,7 @@ from rfem_jax.description.basics.tables import keys_of
 from rfem_jax.description.mechanism.axes import AxisPoint
 from rfem_jax.description.mechanism.bases import Base
 from rfem_jax.description.mechanism.bearings import Bearing
+from rfem_jax.description.mechanism.cambers import CamberPoint
 from rfem_jax.description.mechanism.clearance import Clearance
 from rfem_jax.description.mechanism.compliance import Compliance, TablesByDirection
 from rfem_jax.description.mechanism.couplings import Coupling
@@ -67,6 +68,7 @@ _IN_A_FILE = {  # where a file has something else than the class
     "body": "table {mass = ..., centre = ..., inertia = ...} in the place of section and material; the link is rigid",
     "stations": "list of tables, [{x = ..., section = ..., after = ...}, ...]",
     "axis": "list of tables, [{to = ..., through = ...}, ...], through which a link leads that is not straight",
+    "camber": "list of tables, [{x = ..., y = ..., z = ...}, ...], where the axis of a straight link was found",
     "form_errors": "whether a straight link has errors of form, bow and even twist; set where a study names a bow",
     "point_masses": "list of tables, [{mass = ..., position = ...}, ...]",
     "compliance": "table { radial = ..., axial = ..., ... }; none: rigid",
@@ -123,6 +125,7 @@ def key_tables() -> list[KeyTable]:
         ("[[mechanism.links]]", Link),
         ("point_masses of [[mechanism.links]]", PointMass),
         ("axis of [[mechanism.links]]", AxisPoint),
+        ("camber of [[mechanism.links]]", CamberPoint),
         ("body of [[mechanism.links]]", RigidBody),
     ):
         tables.append(_table(header, kind, *keys_of(kind), _IN_A_FILE))

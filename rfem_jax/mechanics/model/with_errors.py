@@ -17,7 +17,6 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float, Int
 
-from rfem_jax.description.mechanism.curves import Values
 from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.algebra import vectors
 from rfem_jax.mechanics.laws.clearances import clearance_name
@@ -30,6 +29,7 @@ from rfem_jax.mechanics.model.errors import AssemblyErrors, possible_errors
 from rfem_jax.mechanics.model.form import (
     ActualForm,
     FormErrors,
+    Held,
     Shaped,
     bodies_of,
     hinge_of,
@@ -164,16 +164,16 @@ def _sides(
     )
     found = []
     for rotation, position, error, nodes, at_end, name in given:
-        shares = None if model.form is None else getattr(model.form, name)
-        turn = _turns(topology, errors.twist, nodes, at_end, shares)
+        held: Held | None = None if model.form is None else getattr(model.form, name)
+        turn = _turns(topology, errors.twist, nodes, at_end, held)
         found.append(
-            _side(rotation, _displaced(model, form, position, nodes, shares), error, nodes, scale, turn, topology)
+            _side(rotation, _displaced(model, form, position, nodes, held), error, nodes, scale, turn, topology)
         )
     return found
 
 
 def _turns(
-    topology: Topology, twist: Array, nodes: tuple[int, ...], at_end: tuple[bool, ...], shares: Values | None
+    topology: Topology, twist: Array, nodes: tuple[int, ...], at_end: tuple[bool, ...], held: Held | None
 ) -> Float[Array, " joints"]:
     """Angles [rad] by which the twists of links turn the frames of joints: evenly growing along links with errors of
     form (theory (1.32)), at the ends of others (2.5)."""
@@ -181,8 +181,8 @@ def _turns(
     on_link = np.array([node >= 0 for node in nodes])
     part: Any = np.array(at_end, dtype=float)
     if topology.formed:
-        assert shares is not None, "such a model has a form"
-        part = jnp.where(np.isin(link, topology.formed), shares, part)
+        assert held is not None, "such a model has a form"
+        part = jnp.where(np.isin(link, topology.formed), held.share, part)
     return jnp.where(on_link, _link_values(twist, link) * part, 0.0)
 
 
@@ -191,23 +191,25 @@ def _displaced(
     form: FormErrors | None,
     position: Float[Array, "3 n"],
     nodes: Sequence[int],
-    shares: Float[Values, " n"] | None,
+    held: Held | None,
 ) -> Float[Array, "3 n"]:
-    """Places in frames of nodes, at shares of the links' lengths, with the twist about the axes of their links and the
-    bows of these; on links with an axis y and z as much longer as x becomes in what follows (theory (1.26), (1.32))."""
-    if form is None or model.form is None or shares is None or not len(nodes):
+    """Places in frames of nodes with the twists, bows and cambers of their links; on links with an axis y and z as much
+    longer as x becomes in what follows (theory (1.26), (1.32), (1.33))."""
+    if form is None or model.form is None or held is None or not len(nodes):
         return position
     topology = model.topology
     link = np.array([0 if node == BASE else topology.link_of(node) for node in nodes])
     on_link = np.array([node != BASE for node in nodes])
     curved = np.isin(link, topology.curved) & on_link
-    apart = wave(jnp.asarray(shares)) - wave(
-        _link_values(jnp.asarray(model.form.middles.share), np.maximum(np.array(nodes), 0))
-    )
-    across = _link_values(form.bow, link) * jnp.where(on_link, apart, 0.0)[None]
+    middles, of_nodes = model.form.middles, np.maximum(np.array(nodes), 0)
+    apart = wave(jnp.asarray(held.share)) - wave(_link_values(jnp.asarray(middles.share), of_nodes))
+    across = _link_values(form.bow, link) * apart[None]
+    if middles.camber is not None and held.camber is not None:
+        across = across + held.camber[:2] - _link_values(jnp.asarray(middles.camber[:2]), of_nodes)
+    across = jnp.where(on_link[None], across, 0.0)
     longer = jnp.where(curved, _link_values(form.scale, link), 1.0)
     if topology.formed:
-        turn = jnp.where(on_link, _link_values(form.twist, link) * shares, 0.0)
+        turn = jnp.where(on_link, _link_values(form.twist, link) * held.share, 0.0)
         position = vectors.apply(vectors.rotation_x(turn), position)
     return jnp.concatenate([position[:1], position[1:] * longer[None] + across])
 
@@ -228,18 +230,18 @@ def _frame_forces(
         else:
             ends = (element.parent, element.child)
             if model.form is not None and name in model.form.elements:
-                shares = model.form.elements[name]
-                shares = (None, shares[0]) if shares.shape[0] == 1 else (shares[0], shares[1])
-                ends = [_displaced_frame(model, form, *end) for end in zip(ends, shares)]
+                held = model.form.elements[name]
+                several = [jax.tree.map(lambda x, k=k: x[..., k : k + 1], held) for k in range(held.share.shape[0])]
+                ends = [_displaced_frame(model, form, *end) for end in zip(ends, [None, *several][-2:])]
             frames = [_scaled_frame(topology, frame, scale) for frame in ends]
         elements[name] = eqx.tree_at(lambda one: (one.parent, one.child), element, tuple(frames))
     return FrameForceSet(elements, jnp.ones(()), _line_loads(model, scale))
 
 
-def _displaced_frame(model: Model, form: FormErrors | None, frame: NodeFrame, share: Array | None) -> NodeFrame:
-    if share is None:
+def _displaced_frame(model: Model, form: FormErrors | None, frame: NodeFrame, held: Held | None) -> NodeFrame:
+    if held is None:
         return frame
-    moved = _displaced(model, form, frame.position[:, None], [frame.node], share[None])
+    moved = _displaced(model, form, frame.position[:, None], [frame.node], held)
     return NodeFrame(frame.node, frame.rotation, moved[:, 0])
 
 
@@ -278,8 +280,11 @@ def _points(
         if form is None or model.form is None or one.node == BASE:
             return one.position
         # Of straight links alone, which may have errors of form.
-        share = model.form.middles.share[one.node] + one.position[0] / model.length[model.topology.link_of(one.node)]
-        return _displaced(model, form, one.position[:, None], [one.node], jnp.clip(share, 0.0, 1.0)[None])[:, 0]
+        link = model.topology.link_of(one.node)
+        share = jnp.clip(model.form.middles.share[one.node] + one.position[0] / model.length[link], 0.0, 1.0)[None]
+        _, camber = model.form.lines.of(link)
+        held = Held(share, None if camber is None else camber.at(share * model.length[link]))
+        return _displaced(model, form, one.position[:, None], [one.node], held)[:, 0]
 
     return {
         name: CarriedPoint(
@@ -418,8 +423,8 @@ def _references(model: Model, form: FormErrors) -> Shaped:
 
 
 def _point_places(model: Model, form: FormErrors | None, scale: Array) -> Float[Array, "3 masses"]:
-    shares = None if model.form is None else model.form.masses
-    point = _displaced(model, form, model.point_position, model.topology.masses, shares)
+    held = None if model.form is None else model.form.masses
+    point = _displaced(model, form, model.point_position, model.topology.masses, held)
     link = np.array([model.topology.link_of(node) for node in model.topology.masses], dtype=int)
     return jnp.concatenate([point[:1] * _link_values(scale, link)[None], point[1:]])
 
@@ -506,7 +511,7 @@ def _shaped_elements(model: Model, errors: FormErrors, length: Array) -> dict[st
         "damping": _link_values(model.section.damping, link),
         "lever_left": sdes.position - before,
         "lever_right": sdes.position - rest,
-        "form": ActualForm(form.curves, errors, sdes.axes, hinge),
+        "form": ActualForm(form.lines, errors, sdes.axes, hinge),
         **_bends(model, link, _link_values(length, link) / np.maximum(count, 1.0)),
     }
 
