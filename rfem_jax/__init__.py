@@ -28,7 +28,7 @@ _names = {
         "PointSpringTable "
         "PrescribedDisplacements PrescribedFunction PrescribedRate PrescribedRunUp PrescribedSpeed "
         "PrescribedSpinUp PrescribedTable Rectangle RigidBody RungeKutta4 Sensor Station Study Tube load_study "
-        "AngleSection ChannelSection CompositeSection HollowRectangle ISection TeeSection"
+        "AngleSection ChannelSection CompositeSection HollowRectangle ISection PolygonSection TeeSection"
     ),
     "mechanics": (
         "AssemblyErrors Coordinates Design Model State STATUS assemble assembly_errors describe design designed "

@@ -20,6 +20,7 @@ from rfem_jax.description.mechanism.forces import Force, JointForce, JointForceT
 from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.mechanism import EQUILIBRIUM, Mechanism
 from rfem_jax.description.mechanism.point_forces import AtPoint, PointLoad
+from rfem_jax.description.mechanism.polygons import PolygonSection
 from rfem_jax.description.mechanism.section_bases import OwnStiffness
 from rfem_jax.description.mechanism.sections import Section
 from rfem_jax.description.parameters.deviations import deviation_unit
@@ -64,6 +65,8 @@ def section_text(section: Section) -> str:
     shape = type(section).__name__
     if isinstance(section, OwnStiffness):
         return "given stiffnesses"
+    if isinstance(section, PolygonSection):
+        return f"polygon of {len(section.points)} corners, area {1e6 * section.area:.6g} mm^2"
     sizes = [
         f"{field.name.replace('_', ' ')} {1e3 * getattr(section, field.name):.6g} mm"
         for field in fields(section)

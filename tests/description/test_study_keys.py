@@ -101,6 +101,14 @@ WALLED = "".join(
     + "".join(f"{name} = 2e-3\n" for name in names.split())
     for shape, names in {**WALLS, "angle": "wall"}.items()
 )
+POLYGON = """[mechanism.sections.outline]
+shape = "polygon"
+points = [[0, 0], ["20 mm", 0], [0, "30 mm"]]
+torsion = "9000 mm^4"
+shear_factor_y = 1.2
+shear_factor_z = 1.2
+shear_centre = ["7 mm", "9 mm"]
+"""
 COMPOSITE = f"""[mechanism.sections.laminate]
 shape = "composite"
 stiffness = {[[1e6 * (i == j) for j in range(6)] for i in range(6)]}
@@ -161,7 +169,8 @@ def asked(tmp_path, monkeypatch):
 
     for module in (study, study_reader, force_reader, tables, tolerances, costs):
         monkeypatch.setattr(module, "checked_table", recorded(module.checked_table))
-    full = FULL.replace("[mechanism.sections.round]", f"{RECTANGLE}{WALLED}{COMPOSITE}[mechanism.sections.round]")
+    sections = f"{RECTANGLE}{WALLED}{COMPOSITE}{POLYGON}"
+    full = FULL.replace("[mechanism.sections.round]", f"{sections}[mechanism.sections.round]")
     full = full.replace('name = "A"\n', f'name = "A"\n{COMPLIANCE}{BEARING}', 1)
     full = full.replace('name = "C"\n', f'name = "C"\n{CLEARANCE}', 1)
     full = full.replace('name = "B"\n', f'name = "B"\n{IN_JOINTS}', 1)

@@ -53,6 +53,7 @@ from rfem_jax.description.mechanism.sections import (
     GivenSection,
     HollowRectangle,
     ISection,
+    PolygonSection,
     Rectangle,
     Section,
     TeeSection,
@@ -74,6 +75,7 @@ SHAPES = {
     "tee": TeeSection,
     "given": GivenSection,
     "composite": CompositeSection,
+    "polygon": PolygonSection,
 }
 DRIVES = {
     "moment_ramp": MomentRamp,
