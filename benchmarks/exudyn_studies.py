@@ -1,8 +1,8 @@
 """Studies with joints of all kinds, springs, friction and forces: Exudyn against ours, accuracy and time.
 
 Accuracy: positions of the joints, forces and moments of all joints in hinge frames, ours with geometrically exact
-elements and converged, against Exudyn's at two steps.  The first fifth of the duration is left out: where a prescribed
-motion starts at once, Exudyn begins with accelerations zero, and both need that time to forget it.
+elements and converged, against Exudyn's at two steps.  The first fifth of the duration is left out: where a motion
+starts at once, both need that time to forget how.
 
 Time, with the elements of the study: the longest step with which RMS loads over the whole duration, by each one's own
 converged result, are within an accuracy (and those with the next shorter step), at it the median processor time of one

@@ -250,6 +250,7 @@ MOVED = {
 
 @needs_exudyn
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of names that later versions have otherwise
 @pytest.mark.parametrize(
     "name", [name if name in ("prismatic", "speed") else pytest.param(name, marks=pytest.mark.long) for name in MOVED]
 )
