@@ -32,14 +32,14 @@ import speed_timing  # noqa: F401  first: it sets JAX up
 import exudyn_speed as speed  # isort: skip
 import numpy as np
 from comparison_report import Report
-from exudyn_models import Settings, build, exu, linkage
+from exudyn_engine import PLANAR, exu, exudyn_numbers, simulate
 from exudyn_open_chain import all_errors, compare_open_chain
-from exudyn_runs import equilibrium, rms_loads, simulate
 from exudyn_speed import fastest
 from exudyn_studies import compare_studies
 from exudyn_tilted_hinge import compare_tilted_hinge
 
 from rfem_jax import assemble, assembly_errors, discretise, run_cases
+from rfem_jax.exchange.exudyn_program import build, equilibrium, rms_loads
 from rfem_jax.validation.reference_values import read_reference
 
 __all__ = ["fastest", "simulate"]
@@ -95,7 +95,7 @@ def compare_preload(report: Report, cases) -> None:
     exact = models["geometrically_exact"]
     errors = assembly_errors(exact, all_errors(exact, 0.1))
     ours = assemble(exact, errors).preload
-    theirs = equilibrium(linkage(exact, errors), Settings())[1]
+    theirs = equilibrium(exudyn_numbers(exact, errors))[1]
     away = [np.linalg.norm(np.asarray(ours[j].force) - theirs[j][0]) for j in JOINTS]
     report.check(
         f"preload forces with all {len(exact.topology.error_names)} errors at once, ours "
@@ -232,7 +232,7 @@ def _radii(report: Report, search: speed.Search) -> None:
     for radius in (1.0, 0.95, 0.9, 0.8, 0.7, 0.6, 0.5, 0.3, 0.0):
         row = [radius]
         for step in (2e-3, 1e-3, 5e-4):
-            result = speed.solve("P5", step, Settings(spectral_radius=radius), search)
+            result = speed.solve("P5", step, PLANAR._replace(spectral_radius=radius), search)
             error = None if result is None else speed.error_of(result.rms, speed.converged("P5", search))
             row.append("fails" if error is None else _short(error))
         rows.append(row)
@@ -267,7 +267,7 @@ def time_it(report: Report, quick: bool, search: speed.Search) -> None:
         ["RMS loads within", "step ms", "error", "CPU s", "clock s", "clock, spread", "settings"],
         rows,
     )
-    base = Settings(relative=1e-5, intrinsic=False, new_jacobian=True)
+    base = PLANAR._replace(relative=1e-5, intrinsic=False, new_jacobian=True)
     changes = {
         "-": {},
         "Lie-group nodes": {"nodes": "rotation_vector"},
@@ -296,12 +296,12 @@ def time_it(report: Report, quick: bool, search: speed.Search) -> None:
 
 def _whole_sample(report: Report, search: speed.Search) -> None:
     """What a sample of a Monte Carlo costs Exudyn besides the solver."""
-    link, start = speed.prepared("P5")
+    mechanism, (start, _) = speed.prepared("P5")
     settings = speed.best("P5", 1e-2, search).settings
     rows = []
     for name, work in (
-        ("building the system (Python)", lambda: build(link, settings, start[0])),
-        ("building and static start", lambda: equilibrium(link, settings)),
+        ("building the system (Python)", lambda: build(mechanism, settings, start)),
+        ("building and static start", lambda: equilibrium(mechanism, settings)),
     ):
         cpu = []
         for _ in range(5):

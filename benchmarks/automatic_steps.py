@@ -88,13 +88,13 @@ def time_of(function) -> float:
 
 def exudyn(samples: dict, accuracies, options) -> dict[float, tuple[float, float, float]]:
     """{accuracy: step, the largest error, processor time of a sample [s]}."""
-    from exudyn_first_answer import rms_of
+    from exudyn_first_answer import drive_pieces, rms_of
 
-    model, found = discretise(STUDY.mechanism), {}
+    model, drive, found = discretise(STUDY.mechanism), drive_pieces(STUDY.drive, options.duration), {}
 
     def rows(step: float) -> np.ndarray:
         errors = ({name: float(values[i]) for name, values in samples.items()} for i in range(options.exudyn))
-        return np.array([rms_of(STUDY, model, one, step, options.duration).ravel() for one in errors])
+        return np.array([rms_of(model, one, step, drive).ravel() for one in errors])
 
     exact = rows(options.exudyn_fine)
     for step in sorted(options.exudyn_steps, reverse=True):

@@ -1,9 +1,9 @@
-"""The module of Exudyn as all programs here use it, and its axes.
+"""The module of Exudyn as all programs here use it, and mechanisms for it.
 
-Place in the pipeline: **exudyn_engine** -> exudyn_joints -> exudyn_models -> exudyn_runs.
+Place in the pipeline: rfem_jax.exchange -> **exudyn_engine** -> exudyn_speed, exudyn_studies and others.
 
-Exudyn's revolute joint turns about z, ours about y: all axes, global and of bodies, are renamed in a circle,
-(x, y, z) there = (z, x, y) here.
+The mechanism in Exudyn is that of `rfem_jax export --to exudyn` (`rfem_jax.exchange.exudyn_mechanism`, whose
+`exudyn_program` runs it), but that it starts in Exudyn's own static equilibrium, sought from the nominal start.
 """
 
 import contextlib
@@ -24,10 +24,21 @@ except ImportError as missing:
         'it with `pip install "rfem_jax[bench]"`.'
     ) from missing
 
-__all__ = ["BACK", "HINGE", "TURNED", "exu", "exut"]
+from rfem_jax.exchange.exudyn_mechanism import drive_pieces, exudyn_numbers  # noqa: E402
+from rfem_jax.exchange.exudyn_program import Result, Settings, equilibrium, move  # noqa: E402
+
+__all__ = ["PLANAR", "drive_pieces", "exu", "exudyn_numbers", "exut", "simulate"]
 
 exu.config.printToConsole = False  # a solver that fails says so by its exception
+PLANAR = Settings(nodes="angles")  # links turn about axes near the hinges'
 
-TURNED = [2, 0, 1]  # ours -> Exudyn's axes
-BACK = [1, 2, 0]
-HINGE = 2
+
+def simulate(model, errors, drive, duration, step, settings=PLANAR, window=None, track=()) -> Result:
+    """Static equilibrium with the driven joint held, then motion, all by Exudyn.
+
+    **Arguments:** as of `rfem_jax.simulate` and of `move`.
+
+    **Raises:** exudyn's `SolverError` where Newton's method fails.
+    """
+    mechanism = exudyn_numbers(model, errors) | drive_pieces(drive, duration)
+    return move(mechanism, step, settings, equilibrium(mechanism, settings)[0], track, window)

@@ -16,19 +16,19 @@ import jax
 jax.config.update("jax_enable_x64", True)
 
 import numpy as np  # noqa: E402
-from exudyn_models import Settings, linkage  # noqa: E402
-from exudyn_runs import equilibrium, run  # noqa: E402
+from exudyn_engine import drive_pieces, exudyn_numbers  # noqa: E402
 
 from rfem_jax import assembly_errors, discretise, load_study  # noqa: E402
+from rfem_jax.exchange.exudyn_program import Settings, equilibrium, move  # noqa: E402
 
 STUDIES = Path(__file__).resolve().parents[1] / "studies"
-FASTEST = Settings(relative=1e-4, intrinsic=False)
+FASTEST = Settings(nodes="angles", relative=1e-4, intrinsic=False)
 
 
-def rms_of(study, model, errors: dict, step: float, duration: float | None = None) -> np.ndarray:
-    """RMS force and moment (2, joints) of one sample."""
-    link = linkage(model, assembly_errors(model, errors))
-    result = run(link, study.drive, duration or study.duration, step, FASTEST, start=equilibrium(link, Settings()))
+def rms_of(model, errors: dict, step: float, drive: dict) -> np.ndarray:
+    """RMS force and moment (2, joints) of one sample; `drive`: as `drive_pieces` has it."""
+    mechanism = exudyn_numbers(model, assembly_errors(model, errors)) | drive
+    result = move(mechanism, step, FASTEST, equilibrium(mechanism)[0])
     return np.array([list(result.rms[kind].values()) for kind in ("force", "moment")])
 
 
@@ -36,9 +36,9 @@ def samples_of(share: np.ndarray, step: float, duration: float | None = None) ->
     """RMS loads (samples, 2, joints) of errors `share` (samples, errors) of their half-widths."""
     study = load_study(STUDIES / "monte_carlo" / "study.toml")
     model = discretise(study.mechanism)
-    widths = study.tasks.tolerances.half_widths()
+    widths, drive = study.tasks.tolerances.half_widths(), drive_pieces(study.drive, duration or study.duration)
     return np.array([
-        rms_of(study, model, {n: float(s * w) for s, (n, w) in zip(row, widths.items())}, step, duration)
+        rms_of(model, {n: float(s * w) for s, (n, w) in zip(row, widths.items())}, step, drive)
         for row in share
     ])  # fmt: skip
 
@@ -53,8 +53,9 @@ def main() -> None:
     if options.study == "run":
         study = load_study(STUDIES / "four_bar" / "study.toml")
         model = discretise(study.mechanism)
+        drive = drive_pieces(study.drive, options.duration or study.duration)
         for case in study.cases[: options.samples]:
-            print(case.name, rms_of(study, model, case.errors, options.step, options.duration))
+            print(case.name, rms_of(model, case.errors, options.step, drive))
         return
     cores = len(os.sched_getaffinity(0))
     share = np.random.default_rng(1).uniform(-1.0, 1.0, (options.samples, 3))

@@ -18,8 +18,7 @@ import jax
 jax.config.update("jax_enable_x64", True)
 
 import numpy as np  # noqa: E402
-from exudyn_models import Settings  # noqa: E402
-from exudyn_runs import simulate  # noqa: E402
+from exudyn_engine import simulate  # noqa: E402
 from scipy.interpolate import CubicSpline  # noqa: E402
 
 from rfem_jax import assembly_errors, discretise, load_study  # noqa: E402
@@ -36,7 +35,7 @@ def measure(rfes: int, step: float, seed: int = 7) -> dict[int, dict[str, float]
     study = load_study(ROOT / "studies" / "identify_misassembly" / "study.toml")
     links = [one if one.rigid else replace(one, rfes=rfes) for one in study.mechanism.links]
     model = discretise(replace(study.mechanism, links=links), elements="geometrically_exact")
-    found = simulate(model, assembly_errors(model, TRUTH), study.drive, DURATION, step, Settings()).histories
+    found = simulate(model, assembly_errors(model, TRUTH), study.drive, DURATION, step).histories
     moment = found.moment["D"]
     curves = dict(zip(SAMPLED, (found.rate, moment[:, 0] + OFFSET, moment[:, 2]), strict=True))
     kept = np.append(np.diff(found.times) > 0.5 * step, True)  # a jump of the drive has two rows

@@ -8,8 +8,7 @@ of Exudyn's step (ours is Runge-Kutta 4 at 5e-6 s).
 """
 
 import numpy as np
-from exudyn_models import Settings, linkage
-from exudyn_runs import run
+from exudyn_engine import drive_pieces, exudyn_numbers
 
 from rfem_jax import (
     Joint,
@@ -26,6 +25,7 @@ from rfem_jax import (
     simulate,
 )
 from rfem_jax.description.tolerances.error_catalogue import error_dimension
+from rfem_jax.exchange.exudyn_program import Settings, move, start_of
 from rfem_jax.mechanics.dynamics.loads import static_state
 
 DURATION, SAVE_EVERY = 0.05, 1e-3
@@ -77,12 +77,11 @@ def compare_open_chain(report, trial: bool = False) -> None:
         ),
         errors,
     )
-    link = linkage(model, errors)
-    start = ((link.rotation, link.centre), {})
+    mechanism = exudyn_numbers(model, errors) | drive_pieces(drive, duration)
     columns = []
     for step in STEPS:
         settings = Settings(nodes="rotation_vector")
-        h = run(link, drive, duration, step, settings, start=start).histories
+        h = move(mechanism, step, settings, start_of(mechanism)).histories
         at = np.searchsorted(h.times, np.asarray(ours.times) - 0.1 * step)
         values = {"angle of Q, rad": np.abs(h.angle[at] - np.asarray(ours.motion.angle)).max()}
         for joint in "PQR":

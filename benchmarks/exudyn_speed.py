@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from exudyn_models import Settings, exu, linkage
-from exudyn_runs import equilibrium, run
+from exudyn_engine import PLANAR, drive_pieces, exu, exudyn_numbers
 
 from rfem_jax import assembly_errors, discretise, load_study
+from rfem_jax.exchange.exudyn_program import Settings, equilibrium, move
 
 STUDY = Path(__file__).parents[1] / "studies" / "four_bar" / "study.toml"
 SMALLEST_LOAD = 1e-6  # N, N m: smaller RMS loads are zero and have no relative error
@@ -82,19 +82,24 @@ def main_study():
 
 @functools.cache
 def prepared(case: str):
-    """Linkage and static start of a case of the main study."""
+    """Numbers and static start of a case of the main study."""
     study, model = main_study()
     errors = {c.name: c.errors for c in study.cases}[case]
-    link = linkage(model, assembly_errors(model, errors))
-    return link, equilibrium(link, Settings())
+    mechanism = exudyn_numbers(model, assembly_errors(model, errors))
+    return mechanism, equilibrium(mechanism)
 
 
-def solve(case: str, step: float, settings: Settings = Settings(), search: Search = FULL):
+@functools.cache
+def driven(duration: float) -> dict:
+    """The drive of the main study."""
+    return drive_pieces(main_study()[0].drive, duration)
+
+
+def solve(case: str, step: float, settings: Settings = PLANAR, search: Search = FULL):
     """A run of a case of the main study, or None where Exudyn's solver fails."""
-    study, _ = main_study()
-    link, start = prepared(case)
+    mechanism, (start, _) = prepared(case)
     try:
-        return run(link, study.drive, search.duration, step, settings, start=start)
+        return move(mechanism | driven(search.duration), step, settings, start)
     except exu.SolverError:
         return None
 

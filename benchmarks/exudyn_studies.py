@@ -1,8 +1,8 @@
 """Studies with joints of all kinds, springs, friction and forces: Exudyn against ours, accuracy and time.
 
 Accuracy: positions of the joints, forces and moments of all joints in hinge frames, ours with geometrically exact
-elements and converged, against Exudyn's at two steps.  The first fifth of the duration is left out: where a prescribed
-motion starts at once, Exudyn begins with accelerations zero, and both need that time to forget it.
+elements and converged, against Exudyn's at two steps.  The first fifth of the duration is left out: where a motion
+starts at once, both need that time to forget how.
 
 Time, with the elements of the study: the longest step with which RMS loads over the whole duration, by each one's own
 converged result, are within an accuracy (and those with the next shorter step), at it the median processor time of one
@@ -18,13 +18,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from exudyn_cases import Case, other_kinds, studies
-from exudyn_models import Settings, exu, linkage
-from exudyn_runs import equilibrium, run
-from exudyn_runs import rms_loads as rms_loads_of
+from exudyn_engine import drive_pieces, exu, exudyn_numbers
 from exudyn_speed import FULL, variants
 from speed_timing import run_once
 
 from rfem_jax import STATUS, GeneralisedAlpha, Simulation, assemble, assembly_errors, discretise, simulate
+from rfem_jax.exchange.exudyn_program import Settings, equilibrium, move
+from rfem_jax.exchange.exudyn_program import rms_loads as rms_loads_of
 from rfem_jax.mechanics.model.errors import AssemblyErrors
 from rfem_jax.simulation.accuracy import loads_of_trials
 from rfem_jax.simulation.integration import grid_for, prepare_batch
@@ -36,7 +36,7 @@ ACCURACY = 1e-3  # of RMS loads, for times
 BATCH = 16
 SEARCHED = 0.4  # of the saved intervals, in which steps are searched
 COUNTS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 25, 32, 40, 50, 64)  # steps of an interval
-SPHERICAL = Settings(nodes="euler_parameters")  # links turn about any axis
+SPHERICAL = Settings()  # links turn about any axis
 
 
 def compare_studies(report, quick: bool, trial: bool = False) -> None:
@@ -72,13 +72,13 @@ def compare(report, case: Case) -> list:
     ours = simulate(
         Simulation(model, drive=case.drive, duration=case.duration, method=method, save_every=every), errors
     )
-    link = linkage(model, errors)
-    start = equilibrium(link, SPHERICAL)
+    mechanism = exudyn_numbers(model, errors) | drive_pieces(case.drive, case.duration)
+    start, their_preload = equilibrium(mechanism)
     steps = (every / n for n in (case.steps[1] // 2, case.steps[1]))
-    runs = [run(link, case.drive, case.duration, step, SPHERICAL, start=start) for step in steps]
+    runs = [move(mechanism, step, SPHERICAL, start) for step in steps]
     later = np.asarray(ours.times) >= SETTLED * case.duration
     report.check(f"{case.title}: status of ours ({STATUS[int(ours.status)].name})", float(ours.status), 0.0)
-    preload = _preload(assemble(model, errors).preload, start[1])
+    preload = _preload(assemble(model, errors).preload, their_preload)
     histories = [result.histories for result in runs]
     place = _positions(ours, histories, later)
     force, moment = (_loads(ours, histories, later, kind) for kind in ("force", "moment"))
@@ -211,12 +211,12 @@ def _table(model, loads) -> dict:
 
 def time_exudyn(model, errors: AssemblyErrors, case: Case, trial: bool):
     """Step [s] and seconds of processor time of the fastest settings, medians, or None."""
-    link = linkage(model, errors)
-    start = equilibrium(link, SPHERICAL)
+    mechanism = exudyn_numbers(model, errors) | drive_pieces(case.drive, case.duration)
+    start, _ = equilibrium(mechanism)
 
     def solved(step: float, settings: Settings):
         try:
-            return run(link, case.drive, case.duration, step, settings, start=start)
+            return move(mechanism, step, settings, start)
         except exu.SolverError:
             return None
 

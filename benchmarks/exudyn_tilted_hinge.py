@@ -5,8 +5,7 @@ Mechanism and reference values are those of `rfem_jax.validation.tilted_hinge`: 
 """
 
 import numpy as np
-from exudyn_models import Settings
-from exudyn_runs import simulate
+from exudyn_engine import PLANAR, simulate
 
 from rfem_jax import STATUS, GeneralisedAlpha, PrescribedRate, assembly_errors, discretise
 from rfem_jax import simulate as simulate_ours
@@ -25,16 +24,16 @@ LIMIT = {
 NAMES = (*(f"{kind} {j}" for kind in KINDS for j in JOINTS), AT_2_S)
 
 
-def by_exudyn(m: int, step: float = STEP, settings: Settings = Settings()):
+def by_exudyn(m: int, step: float = STEP, settings=PLANAR):
     """The compared values by Exudyn, and its histories."""
     model = discretise(mechanism(m), elements="linear")
     errors = assembly_errors(model, {"C.pin_tilt_x": "5 deg"})
-    result = simulate(model, errors, PrescribedRate("A", 0.6), WINDOW[1], step, settings, WINDOW, track="C")
+    result = simulate(model, errors, PrescribedRate("A", 0.6), WINDOW[1], step, settings, WINDOW, track=("C",))
     h = result.histories
     at = int(np.searchsorted(h.times, 2.0 - 0.1 * step))
     values = {f"{kind} {j}": result.rms[kind][j] for kind in KINDS for j in JOINTS}
     values |= {
-        AT_2_S: float(h.place[at, 1] - h.place[0, 1]),
+        AT_2_S: float(h.places["C"][at, 1] - h.places["C"][0, 1]),
         "CPU s": round(result.cpu, 3),
     }
     return values, h

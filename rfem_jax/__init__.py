@@ -20,15 +20,15 @@ from rfem_jax.lazy_names import lazy_names as _lazy_names
 
 _names = {
     "description": (
-        "Automatic AxisPoint Base Bearing Case Circle Clearance Compliance Coupling DistributedForce Explicit "
-        "ForceFunction ForceRamp "
+        "Automatic AxisPoint Base Bearing CamberPoint Case Circle Clearance Compliance Coupling DistributedForce "
+        "Explicit ForceFunction ForceRamp "
         "ForceTable GeneralisedAlpha GivenSection InputError Joint JointForceFunction JointForceTable JointFriction "
         "JointSpring Leapfrog Link Material Mechanism Method MomentFunction "
         "MomentRamp MomentTable Point PointForce PointMass PointMoment PointSpring PointSpringFunction "
         "PointSpringTable "
         "PrescribedDisplacements PrescribedFunction PrescribedRate PrescribedRunUp PrescribedSpeed "
         "PrescribedSpinUp PrescribedTable Rectangle RigidBody RungeKutta4 Sensor Station Study Tube load_study "
-        "AngleSection ChannelSection CompositeSection HollowRectangle ISection TeeSection "
+        "AngleSection ChannelSection CompositeSection HollowRectangle ISection PolygonSection TeeSection "
         "Interface ReducedBody craig_bampton load_body save_body"
     ),
     "mechanics": (

@@ -45,6 +45,7 @@ from rfem_jax.description.drives.translations import (
 from rfem_jax.description.mechanism.axes import AxisPoint
 from rfem_jax.description.mechanism.bases import Base
 from rfem_jax.description.mechanism.bearings import Bearing
+from rfem_jax.description.mechanism.cambers import CamberPoint
 from rfem_jax.description.mechanism.clearance import Clearance
 from rfem_jax.description.mechanism.compliance import Compliance
 from rfem_jax.description.mechanism.couplings import Coupling
@@ -73,6 +74,7 @@ from rfem_jax.description.mechanism.sections import (
     GivenSection,
     HollowRectangle,
     ISection,
+    PolygonSection,
     Rectangle,
     Section,
     TeeSection,
@@ -101,6 +103,7 @@ __all__ = [
     "AxisPoint",
     "Base",
     "Bearing",
+    "CamberPoint",
     "Case",
     "ChannelSection",
     "Circle",
@@ -143,6 +146,7 @@ __all__ = [
     "PointSpring",
     "PointSpringFunction",
     "PointSpringTable",
+    "PolygonSection",
     "PrescribedDisplacements",
     "PrescribedDrive",
     "PrescribedFunction",

@@ -8,7 +8,8 @@ frame_table, fcstd, urdf, sdf, mjcf_reader  readers
 study_writer      a layout as a commented study file
 study_layout      a study, with the errors of one of its cases, as a layout
 frame_table, urdf_writer, mjcf_writer  writers
-exudyn_writer     a study as a script, whose second part is exudyn_program
+exudyn_mechanism  a model as plain numbers for Exudyn
+exudyn_writer     a study as a script of these numbers and of exudyn_system, exudyn_loads and exudyn_program
 
 Place in the pipeline: beside `report`, whose commands call it; it reads all packages above, and shows nothing itself.
 """

@@ -20,6 +20,7 @@ from rfem_jax.description.mechanism.forces import Force, JointForce, JointForceT
 from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.mechanism import EQUILIBRIUM, Mechanism
 from rfem_jax.description.mechanism.point_forces import AtPoint, PointLoad
+from rfem_jax.description.mechanism.polygons import PolygonSection
 from rfem_jax.description.mechanism.reduced_bodies import ReducedBody
 from rfem_jax.description.mechanism.section_bases import OwnStiffness
 from rfem_jax.description.mechanism.sections import Section
@@ -65,6 +66,8 @@ def section_text(section: Section) -> str:
     shape = type(section).__name__
     if isinstance(section, OwnStiffness):
         return "given stiffnesses"
+    if isinstance(section, PolygonSection):
+        return f"polygon of {len(section.points)} corners, area {1e6 * section.area:.6g} mm^2"
     sizes = [
         f"{field.name.replace('_', ' ')} {1e3 * getattr(section, field.name):.6g} mm"
         for field in fields(section)
@@ -88,7 +91,7 @@ def link_rows(mechanism: Mechanism) -> list[list[str]]:
         if link.axis:
             shape += f"; axis through {len(link.axis) + 1} points"
         if link.form_errors:
-            shape += "; may be bowed"
+            shape += f"; camber at {len(link.camber)} places" if link.camber else "; may be bowed"
         if link.slender:
             shape += "; neither stretches nor shears"
         rows.append([link.name, f"{link.length:.6g}", f"{link.mass:.6g}", rfes, points, shape])

@@ -37,7 +37,8 @@ from rfem_jax.mechanics.model.status import (
     OK,
 )
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors, apply_errors
-from rfem_jax.mechanics.statics.assembly import held_angles, moving_equilibrium, static_loads
+from rfem_jax.mechanics.statics.assembly import held_angles, settled_in_motion, stability, static_loads
+from rfem_jax.mechanics.statics.equilibrium_stability import Stability
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.balances import checks_of
 from rfem_jax.simulation.batches import with_batch_axes
@@ -53,12 +54,14 @@ from rfem_jax.simulation.time_grid import TimeGrid, divide_time, longest_interva
 
 
 class Prepared(NamedTuple):
-    """An assembled mechanism: constants, start state, joint loads at rest, status of the assembly."""
+    """An assembled mechanism: constants, start state, joint loads at rest, status of the assembly, and how fast the
+    equilibrium of its start is left, None of a given start."""
 
     actual: ModelWithErrors
     state: State
     preload: loads.JointLoads
     status: Int[Array, ""]
+    stability: Stability | None = None
 
 
 class IntervalEnd(NamedTuple):
@@ -128,9 +131,11 @@ def prepare(model: Model, errors: AssemblyErrors, drive: Drive, start: State | N
         held |= {k: position for k, (position, _, _) in first.items()}
         given = {} if model.start_rates is None else {k: model.start_rates[k] for k in model.topology.rated}
         rates = given | {k: rate for k, (_, rate, _) in first.items()}
-        state, multipliers, status = moving_equilibrium(model, actual, held, rates)
+        state, found = settled_in_motion(model, actual, held, rates)
         resting = loads.static_state(model.topology, state.position)
-        return Prepared(actual, state, static_loads(model, actual, resting, multipliers), status)
+        preload = static_loads(model, actual, resting, found.multipliers)
+        leaving = stability(model, actual, held, resting, found.tangent, preload)
+        return Prepared(actual, state, preload, found.status, leaving)
 
 
 def start_carry(integration: Integration, prepared: Prepared) -> Carry:
@@ -264,6 +269,7 @@ def conclude(
     energy = dataclasses.replace(record.energy, work=record.energy.work - record.energy.work[0])
     shortest = grid.shortest_step(integration.steps)
     checks, status = checks_of(model, prepared.actual, prepared.status, carry, record, energy, times[-1], shortest)
+    checks = dataclasses.replace(checks, start_stability=prepared.stability)
     return Conclusion(
         times=times,
         record=record._replace(energy=energy),

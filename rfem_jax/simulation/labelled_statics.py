@@ -14,8 +14,9 @@ from jaxtyping import Float, Int
 from rfem_jax.description.metrics.catalogue import kind_and_owner, metric_of
 from rfem_jax.description.metrics.shaking_metrics import RECORD
 from rfem_jax.labelled_data import COMPONENTS, Arrays, Labelled, LabelledResult, Parts, Table, column_name
-from rfem_jax.mechanics.model.status import STATUS
-from rfem_jax.simulation.remarks import linear_remark
+from rfem_jax.mechanics.model.status import STATUS, UNSTABLE
+from rfem_jax.mechanics.statics.equilibrium_stability import Stability
+from rfem_jax.simulation.remarks import leaving_text, linear_remark
 
 DEGREE = np.pi / 180.0
 _LOADS = (("force", "N"), ("moment", "N m"))
@@ -194,7 +195,8 @@ class LabelledStatics(LabelledResult):
         if status != "ok":
             bad = int(np.sum(np.asarray(result.status) != 0))
             message = next(one.message for one in STATUS if one.name == status)
-            parts.append(f"{bad} of {len(result.status)} positions{of_case} have no equilibrium: {message}")
+            what = "stable equilibrium" if status == STATUS[UNSTABLE].name else "equilibrium"
+            parts.append(f"{bad} of {len(result.status)} positions{of_case} have no {what}: {message}")
         parts += [f"Joint loads{of_case}", Table(*self._joint_rows(result), words=(0,))]
         if self.labels:
             what = "What drives" if self.moves else "What holds"
@@ -216,9 +218,14 @@ class LabelledStatics(LabelledResult):
         if self.metrics:
             rows = [[name, f"{value:.6g}", unit or "1"] for name, (value, unit) in self.values_of_metrics(c).items()]
             parts += ["", Table(["metric", "value", "unit"], rows, words=(0, 2))]
-        if remark := linear_remark(float(np.max(result.checks.linear_error))):
-            parts.append(remark[0].upper() + remark[1:])
-        return parts
+        return [*parts, *self.remarks_on(c)]
+
+    def remarks_on(self, c: int) -> list[str]:
+        """Sentences on one case: how equilibria are left, and the error of linear elements."""
+        result = self.results[c]
+        remark = linear_remark(float(np.max(result.checks.linear_error)))
+        found = leaving_sentences(result.stability, result.status)
+        return [*found, remark[0].upper() + remark[1:]] if remark else found
 
     def _at(self, i: int) -> list[str]:
         """The first column of a table with a row for a position, where there are several."""
@@ -267,6 +274,15 @@ class LabelledStatics(LabelledResult):
 def status_name(codes: Int[np.ndarray, " positions"]) -> str:
     """Status of all positions: ok, or that of the first one with another."""
     return STATUS[int(codes[np.argmax(codes != 0)])].name
+
+
+def leaving_sentences(stability: Stability | None, codes: Int[np.ndarray, " positions"]) -> list[str]:
+    """A sentence on how the worst of the unstable equilibria is left; none if all are stable."""
+    if stability is None or not (codes == UNSTABLE).any():
+        return []
+    worst = int(np.argmax(np.where(codes == UNSTABLE, stability.growth, -1.0)))
+    text = leaving_text(jax.tree.map(lambda x: x[worst], stability))
+    return [f"{text[0].upper()}{text[1:]}" + ("." if len(codes) == 1 else f", at position {worst}.")]
 
 
 def _cell(value: float, size: float) -> str:

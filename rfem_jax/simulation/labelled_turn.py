@@ -16,6 +16,7 @@ from rfem_jax.description.metrics.shaking_metrics import RECORD
 from rfem_jax.labelled_data import COMPONENTS, Arrays, Labelled, LabelledResult, Parts, Table, column_name
 from rfem_jax.mechanics.dynamics.load_axes import AXES
 from rfem_jax.mechanics.model.status import STATUS
+from rfem_jax.simulation.labelled_statics import leaving_sentences
 
 ON_BASE = "on the base"
 _LOADS = (("force", "N"), ("moment", "N m"))
@@ -163,6 +164,7 @@ class LabelledTurn(LabelledResult):
             parts += ["", f"The drive holds with {low:.5g} to {high:.5g} {self.units[1]}."]
         if failed:
             parts += [f"* {failed} of {self.turn.status.shape[1]} positions were not assembled ({self.statuses()[c]})."]
+            parts += leaving_sentences(jax.tree.map(lambda x: x[c], self.turn.stability), self.turn.status[c])
         return parts
 
 

@@ -24,6 +24,7 @@ from rfem_jax.mechanics.model.errors import AssemblyErrors
 from rfem_jax.mechanics.model.model import Coordinates, Model
 from rfem_jax.mechanics.model.status import STATUS
 from rfem_jax.mechanics.statics.assembly import Load
+from rfem_jax.mechanics.statics.equilibrium_stability import Stability
 from rfem_jax.simulation.equations import Numbers, Scalar, safe_sqrt
 from rfem_jax.simulation.remarks import remarks_on
 
@@ -191,7 +192,8 @@ class Checks(eqx.Module):
 
     equation_residual [N]: residual of the equations of motion at the saved times as forces (n = 0 for explicit
     methods); its derivative says how accurate derivatives are, see `derivative_residual`. design_gap [m]: what the
-    loops of a design stay open by at the start; None without one.
+    loops of a design stay open by at the start; None without one. start_stability: how fast the static equilibrium of
+    the start is left, what is held there held; None of a given start.
     """
 
     energy_balance_error: Float[Numbers, ""]
@@ -204,6 +206,7 @@ class Checks(eqx.Module):
     linear_error: Float[Numbers, ""]
     equation_residual: Float[Numbers, "times n"]
     design_gap: Float[Numbers, ""] | None = None
+    start_stability: Stability | None = None
 
 
 # Former names of what is in groups now, for one version; `driven_joint` had the ends of angle and rate.

@@ -44,8 +44,17 @@ from rfem_jax.mechanics.model.errors import AssemblyErrors, Errors, assembly_err
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.model.model import Coordinates, Model, State, length_scale
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors, apply_errors
-from rfem_jax.mechanics.statics.assembly import Load, closed_at_rest, equilibrium, moving_equilibrium, start_values
+from rfem_jax.mechanics.statics.assembly import (
+    Load,
+    closed_at_rest,
+    moving_equilibrium,
+    settled,
+    stability,
+    start_values,
+    status_at_rest,
+)
 from rfem_jax.mechanics.statics.designs import Design, designed, status_of
+from rfem_jax.mechanics.statics.equilibrium_stability import Stability
 from rfem_jax.simulation.conclusion import LoadSummary, ball_angles, joint_coordinates, load_metrics
 from rfem_jax.simulation.equations import Numbers, safe_sqrt, squares
 from rfem_jax.simulation.observation import coupling_histories, energy_at, solved_instant
@@ -101,7 +110,8 @@ class StaticLoads(eqx.Module):
     "LINK.sections" and "LINK.deflection" of flexible links among them, "shaking" where it is asked for; couplings:
     `CouplingHistory` of every coupling;
     stress [Pa]: largest von Mises stress of every link whose section's edge is known; contacts: of joints with
-    clearance; status: code of `STATUS` of every position.
+    clearance; status: code of `STATUS` of every position; stability (positions,): how fast each equilibrium is left,
+    None in motion.
     """
 
     position: dict[str, Float[Numbers, "*positions"]]
@@ -120,6 +130,7 @@ class StaticLoads(eqx.Module):
     rate: dict[str, Float[Numbers, "*positions"]]
     acceleration: dict[str, Float[Numbers, "*positions"]]
     couplings: dict[str, CouplingHistory] = eqx.field(default_factory=dict)
+    stability: Stability | None = None
 
     @property
     def preload(self) -> dict[str, Load]:
@@ -257,6 +268,7 @@ class _Found(NamedTuple):
     rates: Float[Array, " held"]
     accelerations: Float[Array, " held"]
     couplings: dict[str, CouplingHistory]
+    stability: Stability | None
 
 
 def _at_pose(model: Model, actual: ModelWithErrors, pose: ClosedPose, asked: Sequence[str]) -> _Found:
@@ -266,13 +278,13 @@ def _at_pose(model: Model, actual: ModelWithErrors, pose: ClosedPose, asked: Seq
     held = topology.held_at_start
     if pose.rates is None or pose.accelerations is None:
         zeros = jnp.zeros(len(held))
-        position, state, status, still = at_rest(model, actual, {k: values[k] for k in held})
+        position, state, status, still, leaving = at_rest(model, actual, {k: values[k] for k in held})
         rates, accelerated, whole = zeros, zeros, jax.tree.map(jnp.zeros_like, state.velocity)
     else:
         rates, accelerated = pose.rates, pose.accelerations
         motions = {k: (values[k], rates[i], accelerated[i]) for i, k in enumerate(held)}
         state, status, still, whole = in_motion(model, actual, motions)
-        position = state.position
+        position, leaving = state.position, None
     axial, normal, moment = squares(topology, still.loads)
     zero = jnp.zeros(())
     return _Found(
@@ -291,18 +303,19 @@ def _at_pose(model: Model, actual: ModelWithErrors, pose: ClosedPose, asked: Seq
         rates=rates,
         accelerations=accelerated,
         couplings=coupling_histories(still.laws),
+        stability=leaving,
     )
 
 
 def at_rest(
     model: Model, actual: ModelWithErrors, held: dict[int, Float[Array, ""]]
-) -> tuple[Coordinates, State, Int[Array, ""], Still]:
-    """Position, state and status of the static equilibrium, and what loads follow from; `held`: as of
-    `equilibrium`."""
+) -> tuple[Coordinates, State, Int[Array, ""], Still, Stability]:
+    """Position, state and status of the static equilibrium, what loads follow from, and how fast it is left; `held`: as
+    of `settled`."""
     topology = model.topology
-    position, multipliers, status = equilibrium(model, actual, held)
-    state = loads.static_state(topology, position)
-    resting = closed_at_rest(model, actual, state, multipliers)
+    found = settled(model, actual, held)
+    state = loads.static_state(topology, found.position)
+    resting = closed_at_rest(model, actual, state, found.multipliers)
     no_acceleration = jnp.zeros((3, actual.mass.shape[0]))
     resting, wrenches = loads.moving_wrenches(actual, resting, no_acceleration, no_acceleration)
     joint = loads.loads_of_wrenches(topology, resting, wrenches, DriveInput())
@@ -310,7 +323,8 @@ def at_rest(
         resting.motion, resting.closure, resting.laws, no_acceleration, no_acceleration, wrenches, resting.frame_loads,
         joint,
     )  # fmt: skip
-    return position, state, status, still
+    leaving = stability(model, actual, held, state, found.tangent, joint)
+    return found.position, state, status_at_rest(found.status, leaving), still, leaving
 
 
 def in_motion(
@@ -429,6 +443,7 @@ def _named_results(
         rate={label: found.rates[:, i] for label, i in labels.items()},
         acceleration={label: found.accelerations[:, i] for label, i in labels.items()},
         couplings=found.couplings,
+        stability=found.stability,
     )
 
 

@@ -31,6 +31,7 @@ from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics.assembly import Load, held_angles, named
 from rfem_jax.mechanics.statics.designs import designed, status_of
+from rfem_jax.mechanics.statics.equilibrium_stability import Stability
 from rfem_jax.simulation.equations import Numbers
 from rfem_jax.simulation.poses import ClosedPose, posed, search_poses
 from rfem_jax.simulation.run import PointPath
@@ -51,8 +52,8 @@ class Turn(eqx.Module):
     assembly; contacts (positions, ...): of the joints with clearance, by their names; linear_error: estimated error of
     linear elements (`linear_validity`); points: `PointPath` of the points that are followed, at rest, couplings
     (positions, 2): loads [N m, N] along their two coordinates, by their names; in_axes: the loads in further `axes`, if
-    these were asked for; shaking: what the mechanism exerts on its base, where it has a `shaking_point`; slides:
-    whether the driven coordinate is a displacement.
+    these were asked for; shaking: what the mechanism exerts on its base, where it has a `shaking_point`; stability
+    (positions,): how fast each equilibrium is left; slides: whether the driven coordinate is a displacement.
     """
 
     position: Float[Array, "*positions"]
@@ -67,6 +68,7 @@ class Turn(eqx.Module):
     in_axes: dict[str, Load] = eqx.field(default_factory=dict)
     couplings: dict[str, Float[Array, "*positions 2"]] = eqx.field(default_factory=dict)
     shaking: ShakingLoad | None = None
+    stability: Stability | None = None
     slides: bool = eqx.field(static=True, default=False)
     axes: str = eqx.field(static=True, default="joint")
 
@@ -171,7 +173,7 @@ def held_at(model: Model, errors: AssemblyErrors, pose: ClosedPose, stresses: bo
     # Crooked pins are those of the start.
     actual, topology = apply_errors(model, errors), model.topology
     model = posed(model, pose)
-    position, state, status, still = at_rest(model, actual, held_angles(model, None))
+    position, state, status, still, leaving = at_rest(model, actual, held_angles(model, None))
     k = topology.driven_coordinate
     assert k is not None, "turns are of driven mechanisms"
     meshes = {} if still.laws is None else still.laws.couplings or {}
@@ -193,6 +195,7 @@ def held_at(model: Model, errors: AssemblyErrors, pose: ClosedPose, stresses: bo
         in_axes=turned,
         couplings={name: mesh.loads for name, mesh in meshes.items()},
         shaking=None if model.shaking_point is None else shaking_at_rest(model, actual, still),
+        stability=leaving,
         slides=bool(topology.slides[k]),
         axes=axes,
     )

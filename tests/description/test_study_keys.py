@@ -101,6 +101,14 @@ WALLED = "".join(
     + "".join(f"{name} = 2e-3\n" for name in names.split())
     for shape, names in {**WALLS, "angle": "wall"}.items()
 )
+POLYGON = """[mechanism.sections.outline]
+shape = "polygon"
+points = [[0, 0], ["20 mm", 0], [0, "30 mm"]]
+torsion = "9000 mm^4"
+shear_factor_y = 1.2
+shear_factor_z = 1.2
+shear_centre = ["7 mm", "9 mm"]
+"""
 COMPOSITE = f"""[mechanism.sections.laminate]
 shape = "composite"
 stiffness = {[[1e6 * (i == j) for j in range(6)] for i in range(6)]}
@@ -134,7 +142,7 @@ def header_of(place):
     """The header in the reference of a place that the reader names."""
     place = re.sub(r"^The top level$", "top level", place)
     place = re.sub(r"^\[\[mechanism\.links\]\] .* point_masses.*", "point_masses of [[mechanism.links]]", place)
-    place = re.sub(r"^\[\[mechanism\.links\]\] .* (stations|axis).*", r"\1 of [[mechanism.links]]", place)
+    place = re.sub(r"^\[\[mechanism\.links\]\] .* (stations|axis|camber).*", r"\1 of [[mechanism.links]]", place)
     place = re.sub(r"^\[\[mechanism\.joints\]\] `\w+` (\w+)$", r"\1 of [[mechanism.joints]]", place)
     place = re.sub(r"^\[\[mechanism\.links\]\] .* body$", "body of [[mechanism.links]]", place)
     place = re.sub(r"^\[\[mechanism\.links\]\] .* body (of \w+ files?)$", r"body of [[mechanism.links]], \1", place)
@@ -162,7 +170,8 @@ def asked(tmp_path, monkeypatch):
 
     for module in (study, study_reader, force_reader, tables, tolerances, costs):
         monkeypatch.setattr(module, "checked_table", recorded(module.checked_table))
-    full = FULL.replace("[mechanism.sections.round]", f"{RECTANGLE}{WALLED}{COMPOSITE}[mechanism.sections.round]")
+    sections = f"{RECTANGLE}{WALLED}{COMPOSITE}{POLYGON}"
+    full = FULL.replace("[mechanism.sections.round]", f"{sections}[mechanism.sections.round]")
     full = full.replace('name = "A"\n', f'name = "A"\n{COMPLIANCE}{BEARING}', 1)
     full = full.replace('name = "C"\n', f'name = "C"\n{CLEARANCE}', 1)
     full = full.replace('name = "B"\n', f'name = "B"\n{IN_JOINTS}', 1)
@@ -189,6 +198,8 @@ def asked(tmp_path, monkeypatch):
     study_reader.read_drives(tomllib.loads(SLIDES)["drives"])
     tables.read_table(Coupling, tomllib.loads(COUPLINGS)["mechanism"]["couplings"][0], "[[mechanism.couplings]]")
     study_reader._read_station({"section": "bar"}, "[[mechanism.links]] `rod` stations number 1", {"bar": Circle(0.01)})
+    rod = {"name": "rod", "length": 0.2, "section": "own", "camber": [{"x": 0.1, "y": "5 um"}]}
+    study_reader._read_link(rod, "[[mechanism.links]] `rod`", {}, {"own": GivenSection(*[1.0] * 10)})
     bent = {"name": "bent", "section": "own", "axis": [{"to": [0.1, 0, 0]}, {"to": [0.2, 0, 0.1], "roll": "5 deg"}]}
     study_reader._read_link(bent, "[[mechanism.links]] `bent`", {}, {"own": GivenSection(*[1.0] * 10)})
     for table in ({"file": "absent.npz"}, {"mass": "m.mtx", "stiffness": "k.mtx", "interfaces": [[0, 0, 0]]}):

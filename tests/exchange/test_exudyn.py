@@ -10,18 +10,33 @@ import pytest
 
 from rfem_jax import (
     Case,
+    Compliance,
+    ForceRamp,
     GeneralisedAlpha,
     InputError,
+    Joint,
+    JointForceFunction,
+    JointForceTable,
     JointFriction,
+    JointSpring,
+    Link,
     Material,
+    Mechanism,
     MomentRamp,
+    Point,
+    PointForce,
+    PointMoment,
     PrescribedRate,
+    PrescribedRunUp,
     Rectangle,
+    RigidBody,
     Station,
 )
 from rfem_jax.description import Study
 from rfem_jax.exchange.exudyn_writer import exudyn_text
+from rfem_jax.mechanics.model.status import STATUS
 from rfem_jax.report.command_line import main
+from rfem_jax.simulation import run_cases
 
 from .machines import MACHINES, study
 
@@ -41,29 +56,37 @@ def flexible(drive):
 
 
 def content_of(script):
-    return json.loads(re.search(r'r"""\n(.*?)\n"""', script, re.DOTALL)[1])
+    return json.loads(re.search(r'r"""(\{.*?\})"""', script, re.DOTALL)[1])
+
+
+def text_of(study, case=None):
+    text, left = exudyn_text(study, case, "a test")
+    assert not left
+    return text
 
 
 def test_the_script_holds_the_numbers():
-    """Of rfes with all mass, of the frames with errors, of the drive at the ends of its pieces."""
-    script = exudyn_text(flexible(MomentRamp("A", 2.0, 0.05)), "askew", "a test")
+    """Of rfes with all mass, of the frames with errors, of the drive at the ends of its pieces; in Exudyn's axes."""
+    script = text_of(flexible(MomentRamp("A", 2.0, 0.05)), "askew")
     compile(script, "script", "exec")
+    assert "rfem_jax" not in script
     content = content_of(script)
     assert len(content["bodies"]) == 3 + 2 and len(content["elements"]) == 2
     assert sum(one["mass"] for one in content["bodies"]) == pytest.approx(0.0942 + 2 * 0.2355)
-    assert [piece["end"] for piece in content["pieces"]] == [0.05, 0.1]
-    assert content["pieces"][0]["values"][-1] == pytest.approx(2.0) and not any(content["pieces"][1]["values"])
+    assert content["drive"] == "force" and [piece["end"] for piece in content["pieces"]] == [0.05, 0.1]
+    first, second = (np.array(piece["values"]) for piece in content["pieces"])
+    np.testing.assert_allclose(first[[0, -1]], [[0.0, 40.0, 0.0], [2.0, 40.0, 0.0]], atol=1e-9)
+    assert not second.any()
     seat = next(one["seat"] for one in content["joints"] if one["name"] == "D")
-    assert seat["point"] == pytest.approx([0.3, 1e-3, 0.0])
-    assert np.degrees(np.arctan2(seat["rotation"][2][1], seat["rotation"][1][1])) == pytest.approx(0.5)
+    assert seat["point"] == pytest.approx([0.0, 0.3, 1e-3])
+    assert np.degrees(np.arctan2(seat["rotation"][0][2], seat["rotation"][2][2])) == pytest.approx(0.5)
     still = max(abs(x) for one in content["bodies"] for x in (*one["velocity"], *one["angular"]))
-    assert still == 0.0 and content["known"]
+    assert still == 0.0 and content["no_statics"] == ""
 
 
 def test_velocities_of_a_prescribed_start_fit_the_poses():
     """The ends of both halves of a bending link move as the joints between them."""
-    script = exudyn_text(flexible(PrescribedRate("A", 12.0)), None, "a test")
-    content = content_of(script)
+    content = content_of(text_of(flexible(PrescribedRate("A", 12.0))))
 
     def speed(side):
         one = content["bodies"][side["body"]]
@@ -72,19 +95,64 @@ def test_velocities_of_a_prescribed_start_fit_the_poses():
     for joint in content["joints"]:
         if joint["seat"]["body"] >= 0:
             np.testing.assert_allclose(speed(joint["seat"]), speed(joint["bore"]), atol=1e-6)
-    crank = content["bodies"][0]
-    assert crank["angular"] == pytest.approx([0.0, 12.0, 0.0]) and not content["known"]
+    assert content["bodies"][0]["angular"] == pytest.approx([0.0, 0.0, 12.0]) and content["drive"] == "motion"
 
 
-def test_what_is_not_translated_is_refused():
-    rubbing = MACHINES["four_bar"]()
-    rubbing = replace(rubbing, forces=(JointFriction("rub", "A", constant=0.1, sliding_rate=0.1),))
-    with pytest.raises(InputError, match="must do without forces other than springs, but the study has `rub`"):
-        exudyn_text(Study("x", rubbing, duration=1.0), None, "x")
-    with pytest.raises(InputError, match="without joints of these kinds"):
-        exudyn_text(study("stewart"), None, "x")
-    with pytest.raises(InputError, match="without redundant constraints"):
-        exudyn_text(study("slider_crank"), None, "x")
+TILTED = {"orientation": (0.2, 0.1, 0.3)}
+
+
+def chain(kind, *forces, drive=None, **joint):
+    """A body on an arm that swings, with a joint of a kind between them whose axes are askew, as a study."""
+    arm, plate = (
+        Link(name, length, body=RigidBody(mass, centre, moments))
+        for name, length, mass, centre, moments in (
+            ("arm", 0.3, 0.8, (0.14, 0.01, 0.02), (1e-3, 7e-3, 7e-3)),
+            ("plate", 0.1, 0.5, (0.03, 0.02, -0.01), (8e-4, 1.5e-3, 9e-4)),
+        )
+    )
+    joints = Joint("A", "base", "arm", angle=-0.4), Joint("X", "arm", "plate", kind=kind, **(TILTED | joint))
+    points = (Point("tip", "plate", (0.1, 0.0, 0.02)),)
+    mechanism = Mechanism((arm, plate), joints, forces=forces, gravity=(0.5, 1.0, -9.81), points=points)
+    return Study("x", mechanism, drive, 0.15, GeneralisedAlpha(step=1e-4))
+
+
+def spring(motion):
+    size = (2.0, 5e-3, 0.1, 0.05) if motion[0] == "R" else (300.0, 0.5, 0.02, 0.3)
+    return JointSpring(f"along_{motion}", "X", *size, motion=motion)
+
+
+STIFF = {f"R_{axis}": 100.0 * (n + 1) for n, axis in enumerate("xyz")} | {f"R_{axis}_damping": 0.03 for axis in "xyz"}
+REFUSED = {
+    "functions in Python, but the study has `own`": chain(
+        "revolute", JointForceFunction("own", "X", lambda position, rate: -rate)
+    ),
+    "several rotations, but the study has the drive of X.R_y": chain(
+        "universal", drive=MomentRamp("X", 0.1, 0.05, motion="R_y")
+    ),
+    "slides, but the study has `along_T_x`": chain("planar", spring("T_x")),
+    "that slide on moving links, but the study has `X`": chain(
+        "prismatic", spring("T_x"), compliance=Compliance(normal=2e4)
+    ),
+    "some of the rotations are sprung": chain("fixed", compliance=Compliance(R_x=100.0)),
+    "whose axes they do not have": chain("revolute", compliance=Compliance(tilt=30.0)),
+    "both ends of a bearing.* but the study has `rub`": chain(
+        "revolute", JointFriction("rub", "X", coefficient=0.2, radius=0.01, length=0.03, load_scale=0.1,
+                                  sliding_rate=0.5),
+    ),
+    "between points, and loads at points that change, but the study has `push`": chain(
+        "revolute", PointForce("push", "plate", (0.1, 0.0, 0.0), ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)), times=(0.0, 1.0))
+    ),
+    "redundant constraints": study("slider_crank"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("words", REFUSED)
+def test_what_is_not_translated_is_refused(words):
+    with pytest.raises(InputError, match=f"A script for Exudyn must do without .*?{words}"):
+        exudyn_text(REFUSED[words], None, "x")
+
+
+def test_links_that_are_not_translated_are_refused():
     one = flexible(MomentRamp("A", 2.0, 0.05))
     warm = {"temperature_gradient_z": "100 K/m"}
     links = [
@@ -96,7 +164,7 @@ def test_what_is_not_translated_is_refused():
     thin = [
         replace(link, flexibility=["bending", "torsion"]) if link.flexible else link for link in one.mechanism.links
     ]
-    with pytest.raises(InputError, match="neither stretch nor shear"):
+    with pytest.raises(InputError, match="neither stretch nor shear, but the study has `rocker`, `coupler`"):
         exudyn_text(replace(one, mechanism=replace(one.mechanism, links=thin)), None, "x")
 
 
@@ -108,12 +176,12 @@ def test_a_tapered_link_is_what_its_stations_say():
         for link in one.mechanism.links
     ]
     tapered = replace(one, mechanism=replace(one.mechanism, links=links))
-    plain, other = (content_of(exudyn_text(study, None, "x")) for study in (one, tapered))
+    plain, other = (content_of(text_of(study)) for study in (one, tapered))
     weights = [sum(body["mass"] for body in content["bodies"]) for content in (plain, other)]
     expected = [sum(float(link.mass) for link in study.mechanism.links) for study in (one, tapered)]
     assert weights == pytest.approx(expected, rel=1e-9) and weights[1] < weights[0]
     # Elements of the coupler are weaker, those of the rocker as they were.
-    bending = [np.array([one["stiffness"][4] for one in content["elements"]]) for content in (plain, other)]
+    bending = [np.array([one["stiffness"][5] for one in content["elements"]]) for content in (plain, other)]
     weaker, same = sorted(bending[1] / bending[0])
     assert weaker < 0.8 and same == pytest.approx(1.0)
 
@@ -133,7 +201,7 @@ def test_loads_are_those_of_exudyn(drive):
     from rfem_jax.exchange.exudyn_writer import verified
 
     one = flexible(drive)
-    for joint, loads in verified(exudyn_text(one, "askew", "a test"), one, "askew").items():
+    for joint, loads in verified(text_of(one, "askew"), one, "askew").items():
         force, theirs, moment, their_moment = loads
         assert force > 1.0 and moment > 1e-3, joint
         assert theirs == pytest.approx(force, rel=1e-3) and their_moment == pytest.approx(moment, rel=1e-3), joint
@@ -146,6 +214,103 @@ def test_loads_of_rigid_links():
     from rfem_jax.exchange.exudyn_writer import verified
 
     one = replace(study("double_wishbone"), duration=0.1, method=GeneralisedAlpha(step=1e-4))
-    for joint, (force, theirs, moment, their_moment) in verified(exudyn_text(one, None, "x"), one, None).items():
+    for joint, (force, theirs, moment, their_moment) in verified(text_of(one), one, None).items():
         assert theirs == pytest.approx(force, rel=2e-3, abs=1e-6), joint
         assert their_moment == pytest.approx(moment, rel=2e-3, abs=1e-3 * force * 0.1), joint
+
+
+MOVED = {
+    "revolute": chain("revolute", spring("R_y")),
+    "cylindrical": chain("cylindrical", spring("R_y"), spring("T_y")),
+    "planar": chain("planar", spring("R_y")),
+    "prismatic": chain("prismatic", spring("T_x"), JointFriction("rub", "X", coefficient=0.3, load_scale=0.1,
+                                                                  sliding_rate=0.05)),
+    "universal": chain("universal"),
+    "spherical": chain("spherical"),
+    "fixed": chain("fixed"),
+    "free": chain("free"),
+    "table": chain("prismatic", JointForceTable("gas", "X", (-0.1, 0.0, 0.05, 0.2), (5.0, 0.0, -2.0, -20.0))),
+    "friction": chain("revolute", JointFriction("rub", "X", constant=0.05, static_constant=0.08, viscous=1e-3,
+                                                sliding_rate=0.5, law="brown_mcphee")),
+    "friction by load": chain("revolute", JointFriction(
+        "rub", "X", coefficient=0.2, static_coefficient=0.3, radius=0.01, load_scale=0.1, sliding_rate=0.5,
+        law="brown_mcphee")),
+    "loads": chain("revolute", PointForce("push", "plate", (0.05, 0.0, 0.01), (0.1, 0.2, 0.3)),
+                   PointMoment("turn", "arm", (0.1, 0.0, 0.0), (0.01, 0.02, 0.03), axes="link")),
+    "force between links": chain("prismatic", drive=ForceRamp("X", 5.0, 0.05)),
+    "moment between links": chain("cylindrical", drive=MomentRamp("X", 0.1, 0.05, motion="R_y")),
+    "speed": chain("cylindrical", drive=PrescribedRunUp("X", 0.5, 0.05, motion="T_y")),
+    "rate": chain("revolute", drive=PrescribedRate("X", 5.0)),
+    "bushing": chain("revolute", compliance=Compliance(radial=2e4, radial_damping=5.0, axial=3e4, axial_damping=4.0)),
+    "tilts": chain("revolute", orientation=(0.0, 0.0, 0.0), compliance=Compliance(
+        radial=2e4, radial_damping=5.0, tilt=30.0, tilt_damping=0.01)),
+    "all sprung": chain("fixed", compliance=Compliance(T_x=2e4, T_x_damping=5.0, **STIFF)),
+}  # fmt: skip
+
+
+@needs_exudyn
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of names that later versions have otherwise
+@pytest.mark.parametrize(
+    "name", [name if name in ("prismatic", "speed") else pytest.param(name, marks=pytest.mark.long) for name in MOVED]
+)
+def test_motion_and_loads_are_those_of_exudyn(name):
+    """In a joint of every kind on a body that moves, of every force: vectors in hinge frames, and the path of a point,
+    after the first 20 ms, in which springs that begin at once ring in the first steps."""
+    from rfem_jax.exchange.exudyn_program import move
+
+    one = MOVED[name]
+    theirs = move(content_of(text_of(one)), 1e-4, track=("tip",)).histories
+    run = next(iter(run_cases(one)[1].values()))
+    times = np.asarray(run.times)
+    at = np.searchsorted(theirs.times, times - 1e-6)
+    assert STATUS[int(run.status)].name == "ok"
+    np.testing.assert_allclose(theirs.places["tip"][at], run.points["tip"].position, atol=2e-6)
+    for kind in ("force", "moment"):
+        found, later = getattr(theirs, kind), times > 0.02
+        largest = max(np.abs(values).max() for values in found.values())
+        for joint, values in found.items():
+            ours = getattr(run.loads[joint], kind)
+            np.testing.assert_allclose(values[at][later], ours[later], atol=6e-4 * largest, err_msg=f"{kind} {joint}")
+
+
+@needs_exudyn
+@pytest.mark.slow
+def test_options_of_the_script(tmp_path, capsys):
+    """Its own static start and other nodes and iterations give the same loads; tables hold loads and places."""
+    script = text_of(flexible(MomentRamp("A", 2.0, 0.05)), "askew")
+    names = {"__name__": "script"}
+    exec(compile(script, "script", "exec"), names)
+
+    def loads(*arguments):
+        names["main"](arguments)
+        return np.array([line.split()[1:] for line in capsys.readouterr().out.splitlines()[1:]], float)
+
+    plain = loads("--step", "2e-4")
+    table = tmp_path / "table.csv"
+    for options in (
+        ["--statics", "--csv", str(table), "--track", "C"],
+        ["--nodes", "angles", "--newton", "fresh"],
+        ["--nodes", "rotation_vector", "--newton", "full", "--dense"],
+        ["--tait-bryan", "--radius", "0.7"],
+    ):
+        np.testing.assert_allclose(loads("--step", "2e-4", *options), plain, rtol=1e-3)
+    columns = np.genfromtxt(table, delimiter=",", names=True)
+    force = np.sqrt(sum(columns[f"C_force_{axis}_N"] ** 2 for axis in "xyz"))
+    mean = np.sqrt(np.trapezoid(force**2, columns["time_s"]) / 0.1)
+    np.testing.assert_allclose(mean, plain[3, 0], rtol=1e-4)
+    across = [columns[f"C_{axis}_m"] - centre for axis, centre in zip("xyz", (0.3, 1e-3, 0.0))]
+    np.testing.assert_allclose(np.sqrt(sum(x**2 for x in across)), 0.3, atol=2e-4)
+
+
+@needs_exudyn
+def test_drives_between_rows():
+    """A polynomial of fifth degree is exact."""
+    from rfem_jax.exchange.exudyn_program import drive_values
+
+    given = np.polynomial.Polynomial([1.0, -2.0, 0.5, 3.0, -1.0, 2.0])
+    times = np.linspace(0.5, 2.0, 4)
+    rows = np.stack([given(times), given.deriv()(times), given.deriv(2)(times)], axis=1)
+    between = np.linspace(0.5, 2.0, 37)
+    found = drive_values({"begin": 0.5, "end": 2.0, "values": rows}, between)
+    np.testing.assert_allclose(found, given(between), rtol=1e-13)

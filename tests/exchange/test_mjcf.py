@@ -194,7 +194,7 @@ def test_an_ideal_coupling_is_in_the_files():
     assert "The coupling mesh." in table_text(layout, "a test")[1]
     soft = replace(geared().mechanism, forces=(Coupling("mesh", ("A", "B"), ratio=-2.0, stiffness=5.0),))
     assert layout_of(replace(geared(), mechanism=soft)).remarks == ("The coupling mesh.",)
-    with pytest.raises(InputError, match="forces other than springs, but the study has `mesh`"):
+    with pytest.raises(InputError, match="without couplings of joints, but the study has `mesh`"):
         exudyn_text(geared(), None, "x")
 
 

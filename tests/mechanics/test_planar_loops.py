@@ -37,10 +37,11 @@ from rfem_jax import (
     sweep,
 )
 from rfem_jax.mechanics import describe
+from rfem_jax.mechanics.model.planar_loops import opening
 from rfem_jax.mechanics.model.status import STATUS
 from rfem_jax.simulation.remarks import remarks_on
 from tests.mechanics.test_redundant_reactions import door, loop, plain, slider_crank, toggle
-from tests.mechanisms import four_bar, link, twisted_spatial_loop
+from tests.mechanisms import four_bar, link, twisted_spatial_loop, two_loop_six_bar
 
 UNASKED = {"redundant_reactions": "planar"}
 ZERO, LEAST = "those across it are zero", "are the least: force^2 + (moment / {} m)^2"
@@ -215,6 +216,17 @@ def test_no_derivatives_by_errors_across_the_plane():
             assert is_taken(make, name) == numbers[name], name
     asked = discretise(unloaded(redundant_reactions="minimum_norm"))  # who asks for the least norm gets it
     assert is_taken(partial(assembly_errors, asked), "D.d_y")
+
+
+def test_forms_of_rigid_links_open_their_loops_where_joints_are():
+    """Both ends of a bowed link stay where they are; a joint between them moves across the plane."""
+    mechanism = rigid_links(two_loop_six_bar())
+    formed = [replace(one, form_errors=one.name in ("coupler", "rocker")) for one in mechanism.links]
+    model = discretise(replace(mechanism, links=formed))
+    names = [f"{link}.{error}" for link in ("coupler", "rocker") for error in ("bow_y", "bow_z", "twist")]
+    assert [*opening(model, names)] == ["coupler.twist", "rocker.bow_y", "rocker.twist"]
+    assert STATUS[int(assemble(model, {"coupler.bow_y": 1e-4, "rocker.bow_z": 1e-4}).status)].name == "ok"
+    assert STATUS[int(assemble(model, {"rocker.bow_y": 1e-4}).status)].name == "cannot_close"
 
 
 def test_joints_that_give_take_them_up():

@@ -198,6 +198,14 @@ def test_geared_five_bar_by_exudyn(run_program):
     assert len(differences) == 24 and max(map(abs, differences)) < 5e-7
 
 
+def test_curved_coupler_by_exudyn(run_program):
+    """Straight pieces there and curved ones here have one limit, and ours are nearer to it."""
+    said = run_program("benchmarks/exudyn_curved.py", "--quick")
+    assert float(re.search(r"^limits differ by at most ([\d.]+) %$", said, re.M)[1]) < 0.02
+    rows = [re.findall(r"(-?[\d.]+)%", line) for line in said.splitlines() if line.startswith(("force", "moment"))]
+    assert len(rows) == 8 and all(0.0 < float(ours) < float(theirs) for theirs, _, ours, *_ in rows)
+
+
 def test_measurements_by_exudyn(run_program, tmp_path):
     """With long steps and few elements: the table has the signals at their times, near those of the tests' file."""
     run_program("benchmarks/exudyn_measured.py", "--out", tmp_path / "new.csv", "--rfes", 5, "--step", 5e-4)

@@ -151,7 +151,7 @@ def test_tolerance_studies(run_command, name, command):
     assert "D.delta_x" in said
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_identify_misassembly(run_program, run_command, tmp_path):
     """The machine is measured by a finer model over a shorter time with less noise, and its tilt is found."""
 
@@ -375,7 +375,7 @@ def test_balancing_of_a_four_bar(run_command):
     assert [one["D.max_force"] for one in metrics] == pytest.approx([90.2, 197.3], rel=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_slider_crank(run_command):
     """And its tasks, with a limit for the short run, which the allocation comes to."""
 
@@ -458,7 +458,7 @@ def toggles_alone(content):
     content["allocation"]["limits"]["E.mean_square_moment"] = 1e8  # hinges and guide that do not give way
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_tasks_of_the_press(run_command):
     out, said = run_command("run", reduced("six_bar_press/study.toml", change=toggles_alone))
     check_tasks(out, said, 8)

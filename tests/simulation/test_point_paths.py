@@ -24,6 +24,7 @@ from rfem_jax import (
 )
 from rfem_jax.description.metrics.path_metrics import path_instant
 from tests.derivatives import check_derivatives
+from tests.evaluation import evaluated
 from tests.mechanisms import link
 
 CRANK, COUPLER, ROCKER, GROUND = 0.12, 0.3, 0.25, 0.32
@@ -76,10 +77,7 @@ def run():
 
 
 def test_a_coupler_curve_has_its_closed_kinematics(run):
-    times = jnp.asarray(run.times)
-    exact = jax.vmap(exact_coupler)(times)
-    rates = jax.vmap(jax.jacfwd(exact_coupler))(times)
-    seconds = jax.vmap(jax.jacfwd(jax.jacfwd(exact_coupler)))(times)
+    exact, rates, seconds = with_derivatives(exact_coupler, run.times)
     path = run.points["P"]
     assert_allclose(path.position[:, [0, 2]], exact[:, :2], atol=1e-9)
     assert_allclose(path.velocity[:, [0, 2]], rates[:, :2], atol=1e-7)
@@ -88,6 +86,12 @@ def test_a_coupler_curve_has_its_closed_kinematics(run):
     assert_allclose(path.angles[:, 1], -exact[:, 2], atol=1e-8)
     assert_allclose(path.angular_velocity[:, 1], -rates[:, 2], atol=1e-7)
     assert_allclose(path.position[:, 1], 0.0, atol=1e-12)
+
+
+def with_derivatives(place, times):
+    """A function of time, its first and its second derivative, at times."""
+    slope = jax.jacfwd(place)
+    return evaluated(jax.vmap(lambda t: (place(t), slope(t), jax.jacfwd(slope)(t))))(jnp.asarray(times))
 
 
 def frame_of(link, t):
@@ -109,9 +113,7 @@ def test_a_path_seen_from_a_link_is_that_of_its_frame(run, point, link):
         x, z = x - x0, z - z0
         return jnp.stack([x * jnp.cos(a) + z * jnp.sin(a), z * jnp.cos(a) - x * jnp.sin(a), slope - a])
 
-    times = jnp.asarray(run.times)
-    path, others = run.points[point], [jax.vmap(seen)(times)]
-    others += [jax.vmap(jax.jacfwd(seen))(times), jax.vmap(jax.jacfwd(jax.jacfwd(seen)))(times)]
+    path, others = run.points[point], with_derivatives(seen, run.times)
     for values, exact, within in zip((path.position, path.velocity, path.acceleration), others, (1e-9, 1e-7, 1e-5)):
         assert_allclose(values[:, [0, 2]], exact[:, :2], atol=within)
     assert_allclose(path.angles[:, 1], -others[0][:, 2], atol=1e-8)
@@ -179,7 +181,7 @@ def test_metrics_of_a_path_are_those_of_closed_kinematics(problem):
     change = 4e-4
     values, status = problem({"coupler.length": change})
     assert int(status) == 0
-    for name, exact in exact_metrics(change).items():
+    for name, exact in evaluated(exact_metrics)(change).items():
         # Between saved times, 5 ms apart, paths are cubics.
         assert_allclose(values[name], exact, rtol=2e-6, atol=2e-8 if "acceleration" not in name else 1e-4, err_msg=name)
 
@@ -193,15 +195,15 @@ def test_derivatives_of_position_errors_are_those_of_closed_kinematics(problem):
         values, _ = problem({"coupler.length": change[0]})
         return jnp.stack([values[name] for name in names])
 
-    forward = jax.jacfwd(chosen)(jnp.array([4e-4]))[:, 0]
-    exact = jax.jacfwd(lambda change: jnp.stack([exact_metrics(change)[name] for name in names]))(4e-4)
-    assert_allclose(forward, exact, rtol=1e-4, atol=1e-6)
     # At zero error a deviation has a kink, where it is said to have the derivative zero; components have none.
-    none = jax.jacfwd(chosen)(jnp.zeros(1))[:, 0]
+    slopes, changes = evaluated(jax.jacfwd(chosen)), (4e-4, 0.0)
+    forward, none = (slopes(jnp.array([change]))[:, 0] for change in changes)
+    of_exact = evaluated(jax.jacfwd(lambda change: jnp.stack([exact_metrics(change)[name] for name in names])))
+    exact, at_none = map(of_exact, changes)
+    assert_allclose(forward, exact, rtol=1e-4, atol=1e-6)
     assert np.isfinite(none).all()
     component = names.index("P@-60deg.deviation_x")
-    exact = jax.jacfwd(lambda change: exact_metrics(change)["P@-60deg.deviation_x"])(0.0)
-    assert_allclose(none[component], exact, rtol=1e-5)
+    assert_allclose(none[component], at_none[component], rtol=1e-5)
     assert none[names.index("P.rms_deviation")] == 0.0
 
 
@@ -273,7 +275,7 @@ def test_a_drive_that_is_given_passes_an_angle_at_another_time():
     inertia = 0.235 * 1.0 * 0.3**2 / 3.0  # of the arm, to its order
     assert values["P@0.3s.deviation"] > 1e-4 * 0.05 / inertia * 0.3**2
     # However late it is, at 30 deg the arm's end is where it is: the time of the passage has its derivative, too.
-    slopes = jax.jacfwd(lambda density: problem({"steel.density": density})[0])(100.0)
+    slopes = evaluated(jax.jacfwd(lambda density: problem({"steel.density": density})[0]))(100.0)
     assert abs(slopes["P@30deg.x"]) < 1e-4 * abs(slopes["P@0.3s.x"])
 
 
@@ -314,14 +316,15 @@ def test_shapes_of_paths_that_are_known():
     def chosen(change):
         return jnp.stack([problem({"A.d_x": change})[0][name] for name in names])
 
-    values = dict(zip(names, chosen(0.0)))
+    values, slopes = evaluated(lambda change: (chosen(change), jax.jacfwd(chosen)(change)))(0.0)
+    values = dict(zip(names, values))
     assert values["round.circularity"] < 1e-10 and values["line.straightness"] < 1e-10
     places = np.array(simulate(simulation).points["round"].position)
     places -= places.mean(axis=0)
     direction = np.linalg.svd(places)[2][0]
     across = np.linalg.norm(places - np.outer(places @ direction, direction), axis=1)
     assert_allclose(values["round.straightness"], 2.0 * across.max(), rtol=1e-9)
-    assert np.isfinite(jax.jacfwd(chosen)(0.0)).all()
+    assert np.isfinite(slopes).all()
     # Slower than a hundredth of its largest speed: twice in a half turn, each time for about that share of 1 / rate.
     assert 0.0 < values["line.dwell"] < 4 * 0.02 / 20.0
 

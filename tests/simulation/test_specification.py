@@ -235,12 +235,12 @@ def test_calls_of_the_version_before_work_and_warn(model, simulation):
 
 @pytest.mark.slow
 def test_cycles_of_the_version_before_work_and_warn(model):
-    drive = PrescribedRate("A", 60.0)
-    cycling = Simulation(model, drive=drive, method=RungeKutta4(step=2e-5), save_every=0.01)
+    drive = PrescribedRate("A", 600.0)
+    cycling = Simulation(model, drive=drive, method=RungeKutta4(step=2e-5), save_every=1e-3)
     now = steady_cycle(cycling, most=2)
     with pytest.warns(DeprecationWarning, match="steady_cycle"):
-        former = steady_cycle(model, drive=drive, method=cycling.method, save_every=0.01, most=2)
-    assert former.residual == now.residual
+        former = steady_cycle(model, drive=drive, method=cycling.method, save_every=1e-3, most=2)
+    assert former.residual == now.residual and np.isfinite(now.residual)
     with refused("`start`", "cycle"):
         steady_cycle(dataclasses.replace(cycling, start=now.start))
     for wrong in ({"tolerance": -1.0}, {"most": 0}, {"most": 2.5}):
@@ -248,5 +248,5 @@ def test_cycles_of_the_version_before_work_and_warn(model):
             steady_cycle(cycling, **wrong)
     run = cycle_run(now, cycling)
     with pytest.warns(DeprecationWarning, match="cycle_run"):
-        again = cycle_run(now, model, drive=drive, method=cycling.method, save_every=0.01)
+        again = cycle_run(now, model, drive=drive, method=cycling.method, save_every=1e-3)
     np.testing.assert_array_equal(jnp.asarray(run.motion.angle), again.motion.angle)

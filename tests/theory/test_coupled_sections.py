@@ -14,6 +14,7 @@ from rfem_jax import (
     Mechanism,
     PointForce,
     PointMoment,
+    PolygonSection,
     Station,
     TeeSection,
     assemble,
@@ -89,6 +90,19 @@ def test_an_angle_bends_out_of_the_plane_of_its_load(direction):
     expected = (LENGTH**3 / 3.0 * DISCRETE * bending + LENGTH * shear) @ direction[1:] * LOAD
     np.testing.assert_allclose(found[1:3], expected, rtol=1e-6)
     assert abs(expected[0] * expected[1]) > 0.1 * max(expected**2)
+    assert abs(found[3]) < 1e-9 * LOAD
+
+
+def test_a_triangle_bends_in_the_direction_of_its_load():
+    """An equilateral one, whose second moments are alike about all axes: s^4 sqrt(3) / 96."""
+    side, load = 0.02, np.array([0.0, 0.6, 0.8])
+    points = [(0, 0), (side, 0), (0.5 * side, 0.5 * np.sqrt(3.0) * side)]
+    torsion, centre = np.sqrt(3.0) / 80.0 * side**4, (0.5 * side, side / np.sqrt(12.0))
+    section = PolygonSection(points, torsion, 1.3, 1.3, shear_centre=centre)
+    found = np.asarray(tip(clamped(section, [PointForce("push", "beam", LENGTH, force=tuple(LOAD * load))])))
+    bending = LENGTH**3 / (3.0 * E * side**4 * np.sqrt(3.0) / 96.0) * DISCRETE
+    area = 0.25 * np.sqrt(3.0) * side**2
+    np.testing.assert_allclose(found[1:3], (bending + 1.3 * LENGTH / (G * area)) * LOAD * load[1:], rtol=1e-6)
     assert abs(found[3]) < 1e-9 * LOAD
 
 

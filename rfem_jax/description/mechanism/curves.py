@@ -1,6 +1,6 @@
 """Curves in space by their arc length: straight pieces, arcs and cubic ones, one after the other.
 
-Place in the pipeline: axes -> **curves** -> links, `mechanics.model.form`.
+Place in the pipeline: axes, cambers -> **curves** -> links, `mechanics.model.form`.
 
 A piece is p(t) = sum_k a_k t^k + b (cos(angle t) - 1) + c sin(angle t), t from 0 to 1: straight ones and arcs are run
 through evenly, and a cubic one is not: its t at an arc length is found by Newton's method. Source: theory (1.20).
@@ -68,11 +68,7 @@ class Curve(eqx.Module):
     def at(self, s: Float[Values, " n"]) -> CurvePoint:
         """Places at arc lengths [m]."""
         xp = self._module(s)
-        last = self.edges.shape[0] - 2
-        beyond = xp.stack([s >= edge for edge in self.edges[1:-1]]) if last else xp.zeros((0, *s.shape), bool)
-        ones, nothing = xp.ones((1, *s.shape), bool), xp.zeros((1, *s.shape), bool)
-        there = xp.concatenate([ones, beyond]) & ~xp.concatenate([beyond, nothing])
-        there = xp.where(there, 1.0, 0.0)  # of every piece and place
+        there = _pieces_at(xp, self.edges, s)
         begin, size, angle = (one @ there for one in (self.edges[:-1], xp.diff(self.edges), self.angles))
         powers, turns, share = self.powers @ there, self.turns @ there, (s - begin) / size
         t = share if self.even else _place(xp, powers, share)
@@ -97,6 +93,40 @@ class Curve(eqx.Module):
 
     def _module(self, *more: Any) -> Any:
         return jnp if traced([*jax.tree.leaves(self), *more]) else np
+
+
+class Camber(eqx.Module):
+    """Offsets along y and z of a straight link by the place along it, in k pieces that are cubic: edges [m], powers [m]
+    of the share of a piece."""
+
+    edges: Float[Values, " ends"]
+    powers: Float[Values, "4 2 pieces"]
+
+    def at(self, s: Float[Values, " n"]) -> Float[Values, "4 n"]:
+        """Offsets [m] along y and z at places [m], and their rates by these."""
+        xp: Any = jnp if traced([*jax.tree.leaves(self), s]) else np
+        there = _pieces_at(xp, self.edges, s)
+        begin, size = self.edges[:-1] @ there, xp.diff(self.edges) @ there
+        a, b, c, d = self.powers @ there
+        t = ((s - begin) / size)[None]
+        return xp.concatenate([a + t * (b + t * (c + t * d)), (b + t * (2.0 * c + 3.0 * t * d)) / size[None]])
+
+
+def camber_through(places: Sequence[Any], offsets: Sequence[Any]) -> Camber:
+    """The spline of offsets (2,) [m] by the places [m] along a link, as `smooth` has its coordinates."""
+    xp: Any = jnp if traced([*places, *offsets]) else np
+    edges = xp.stack([xp.asarray(one, float) for one in places])
+    pieces = _cubics(xp, xp.stack([xp.asarray(one) for one in offsets]), xp.diff(edges))
+    return Camber(edges, xp.stack(pieces, axis=-1))
+
+
+def _pieces_at(xp: Any, edges: Any, s: Any) -> Any:
+    """Whether (k, n) each of k pieces between edges holds each of n places, as 1 and 0."""
+    last = edges.shape[0] - 2
+    beyond = xp.stack([s >= edge for edge in edges[1:-1]]) if last else xp.zeros((0, *s.shape), bool)
+    ones, nothing = xp.ones((1, *s.shape), bool), xp.zeros((1, *s.shape), bool)
+    there = xp.concatenate([ones, beyond]) & ~xp.concatenate([beyond, nothing])
+    return xp.where(there, 1.0, 0.0)
 
 
 def _evaluated(xp: Any, piece: tuple[Any, Any, Any], t: Any) -> tuple[Any, Any]:
@@ -155,15 +185,20 @@ def smooth(points: Sequence[Any]) -> list[Piece]:
     xp: Any = jnp if traced(list(points)) else np
     through = xp.stack(list(points))
     apart = xp.sqrt(xp.sum(xp.diff(through, axis=0) ** 2, axis=1))
-    slopes, n = _slopes(xp, through, apart), len(points) - 1
     pieces = []
-    for i in range(n):
-        rise, h = through[i + 1] - through[i], apart[i]
-        first, last = h * slopes[i], h * slopes[i + 1]
-        powers = xp.stack([through[i], first, 3.0 * rise - 2.0 * first - last, first + last - 2.0 * rise])
+    for powers in _cubics(xp, through, apart):
         rates = [powers[1] + t * (2.0 * powers[2] + 3.0 * t * powers[3]) for t in NODES]
         length = sum(weight * xp.sqrt(xp.sum(rate**2)) for weight, rate in zip(WEIGHTS, rates))
         pieces.append(Piece(powers, np.zeros((2, 3)), 0.0, length))
+    return pieces
+
+
+def _cubics(xp: Any, through: Any, apart: Any) -> list[Any]:
+    """The powers a_k (4, d) of the pieces of the spline through places (n, d), whose knots are `apart`."""
+    slopes, pieces = _slopes(xp, through, apart), []
+    for i in range(len(through) - 1):
+        rise, first, last = through[i + 1] - through[i], apart[i] * slopes[i], apart[i] * slopes[i + 1]
+        pieces.append(xp.stack([through[i], first, 3.0 * rise - 2.0 * first - last, first + last - 2.0 * rise]))
     return pieces
 
 

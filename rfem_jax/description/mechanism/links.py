@@ -37,7 +37,8 @@ from rfem_jax.description.basics.numbers import (
 )
 from rfem_jax.description.basics.units import DERIVED, Quantity, short
 from rfem_jax.description.mechanism.axes import AxisPoint, curve_of, require_axis, require_curve
-from rfem_jax.description.mechanism.curves import Curve
+from rfem_jax.description.mechanism.cambers import CamberPoint, camber_of, require_between_ends, require_camber
+from rfem_jax.description.mechanism.curves import Camber, Curve
 from rfem_jax.description.mechanism.materials import Material
 from rfem_jax.description.mechanism.reduced_bodies import ReducedBody
 from rfem_jax.description.mechanism.rigid_bodies import RigidBody
@@ -127,7 +128,9 @@ class Link(NumberTree, ChecksItself):
         axis: AxisPoint objects, through which the axis of a link leads that is not straight, from the origin of its
             frame; (): the axis is x.
         smooth: True makes the axis the smooth curve through all points.
-        form_errors: True gives a straight link with a section errors of form, its bow.
+        camber: CamberPoint objects, the measured shape of a straight link with a section; it has errors of form then.
+        form_errors: True gives a straight link with a section errors of form: its bow, and a twist that grows evenly
+            along it.
         flexibility: how a flexible link gives way, ["bending", "torsion"] or all four with "axial" and "shear" (None).
     Raises:
         InputError: a value is out of range or of the wrong kind.
@@ -148,6 +151,7 @@ class Link(NumberTree, ChecksItself):
     stations: tuple[Station, ...] = ()
     axis: tuple[AxisPoint, ...] = ()
     smooth: bool = False
+    camber: tuple[CamberPoint, ...] = ()
     form_errors: bool = False
     flexibility: tuple[str, ...] | None = None
 
@@ -162,6 +166,7 @@ class Link(NumberTree, ChecksItself):
         checks.convert("name", require_name, "`name` of a link", ("base",))
         of = f"of link `{self.name}`"
         checks.convert("axis", require_axis, of)
+        checks.convert("camber", require_camber, of)
         checks.convert("smooth", require_flag, f"`smooth` {of}")
         checks.convert("form_errors", require_flag, f"`form_errors` {of}")
         if self.axis:
@@ -189,7 +194,7 @@ class Link(NumberTree, ChecksItself):
         checks.convert("rfes", _number_of_rfes, of)
         for name in GRADIENTS:
             checks.relation(("rigid", "rfes", "axis", name), self._check_bends, name, of)
-        checks.relation(("axis", "smooth", "body", "form_errors"), self._check_forms, of)
+        checks.relation(("axis", "smooth", "body", "form_errors", "camber", "length"), self._check_forms, of)
         if self.flexibility is not None:
             checks.convert("flexibility", _flexibility, of)
             checks.relation(("rigid", "rfes", "body", "flexibility"), self._check_flexible, of)
@@ -267,11 +272,15 @@ class Link(NumberTree, ChecksItself):
             raise InputError(
                 f"Argument `smooth` {of} must be left out where there is no `axis`, but was True; give one."
             )
-        if self.form_errors and (self.axis or self.body is not None):
+        if (self.form_errors or self.camber) and (self.axis or self.body is not None):
+            name = "camber" if self.camber else "form_errors"
             raise InputError(
-                f"Argument `form_errors` {of} must be left out where the link has an `axis`, whose points may deviate, "
-                "or a body, but was True; leave it out."
+                f"Argument `{name}` {of} must be left out where the link has an `axis`, whose points may deviate, "
+                "or a body, but was given; leave it out."
             )
+        if self.camber:
+            require_between_ends(self.camber, self.length, of)
+            object.__setattr__(self, "form_errors", True)
 
     def _check_flexible(self, of: str) -> None:
         if self.flexibility is not None and not self.flexible:
@@ -365,6 +374,11 @@ class Link(NumberTree, ChecksItself):
         """Its axis, by the length along it."""
         axis = self.course or (AxisPoint((self.length, 0.0, 0.0)),)
         return curve_of(axis, self.smooth and bool(self.axis))
+
+    @property
+    def offsets(self) -> Camber:
+        """Its measured offsets from x, by the place along it; zero without a camber."""
+        return camber_of(self.camber, self.length)
 
     @property
     def spans(self) -> tuple[Span, ...]:

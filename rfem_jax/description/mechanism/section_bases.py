@@ -146,6 +146,52 @@ class Shape(abc.ABC, NumberTree, ChecksItself):
         return shear, shear
 
 
+def coupled_properties(
+    plain: SectionProperties,
+    material: Material,
+    area: Numbers,
+    factors: tuple[Numbers, Numbers, Numbers],
+    centre: tuple[Numbers, Numbers],
+    product: Numbers,
+) -> CoupledProperties:
+    """Of a homogeneous section with the given `plain` ones; shear factors kappa_y, kappa_yz, kappa_z [1], shear centre
+    (y, z) from the centroid [m], product of inertia I_yz [m^4] (theory (18.7))."""
+    (kappa_y, kappa_yz, kappa_z), (y, z) = factors, centre
+    rigid = material.modulus_of_rigidity * area / (kappa_y * kappa_z - kappa_yz**2)
+    along_y, mixed, along_z = rigid * kappa_z, -rigid * kappa_yz, rigid * kappa_y
+    # A twist about the centroid shears the shear centre by (-z, y) of it.
+    twist_y, twist_z = mixed * y - along_y * z, along_z * y - mixed * z
+    torsion = plain.torsion + y * twist_z - z * twist_y
+    bending = -material.youngs_modulus * product
+    matrix = (
+        (plain.axial, 0.0, 0.0, 0.0, 0.0, 0.0),
+        (0.0, along_y, mixed, twist_y, 0.0, 0.0),
+        (0.0, mixed, along_z, twist_z, 0.0, 0.0),
+        (0.0, twist_y, twist_z, torsion, 0.0, 0.0),
+        (0.0, 0.0, 0.0, 0.0, plain.bending_y, bending),
+        (0.0, 0.0, 0.0, 0.0, bending, plain.bending_z),
+    )
+    values = {**vars(plain), "shear_y": along_y, "shear_z": along_z, "torsion": torsion}
+    return CoupledProperties(**values, matrix=matrix, offset_y=0.0, offset_z=0.0, product=-material.density * product)
+
+
+def coupled_edge(
+    area: Numbers,
+    moments: tuple[Numbers, Numbers, Numbers],
+    centre: tuple[Numbers, Numbers],
+    places: Sequence[tuple[Numbers, Numbers, Numbers]],
+) -> tuple[EdgePoint, ...]:
+    """Stresses at places (y, z) from the centroid [m], with the shear stress by the torque about the shear centre
+    [1/m^3]; moments I_y, I_z, I_yz [m^4], shear centre from the centroid (theory (18.8))."""
+    (about_y, about_z, product), (y_s, z_s) = moments, centre
+    determinant, points = about_y * about_z - product**2, []
+    for y, z, by_torque in places:
+        by_y, by_z = (z * about_z - y * product) / determinant, (z * product - y * about_y) / determinant
+        direct = 1.0 / area, 0.0, 0.0, 0.0, by_y, by_z
+        points.append((*direct, 0.0, z_s * by_torque, -y_s * by_torque, by_torque, 0.0, 0.0))
+    return tuple(points)
+
+
 def require_triangle(inertias: tuple[float, float, float], where: str) -> None:
     """Raise InputError unless no principal inertia exceeds the sum of the two others, as far as these are known."""
     if not is_known(inertias):

@@ -33,6 +33,7 @@ from rfem_jax.description.basics.numbers import (
 from rfem_jax.description.basics.units import DERIVED
 from rfem_jax.description.mechanism.composite_sections import CompositeSection
 from rfem_jax.description.mechanism.materials import Material
+from rfem_jax.description.mechanism.polygons import PolygonSection
 from rfem_jax.description.mechanism.section_bases import (
     EDGE_FIELDS,
     EdgePoint,
@@ -325,9 +326,10 @@ Section = (
     | TeeSection
     | GivenSection
     | CompositeSection
+    | PolygonSection
 )
 SECTION_KINDS: tuple[type, ...] = get_args(Section)
-CoupledSection = CoupledShape | CompositeSection  # those whose properties are a matrix
+CoupledSection = CoupledShape | CompositeSection | PolygonSection  # those whose properties are a matrix
 
 
 def plane_names(plane: str) -> tuple[str, str]:

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, NamedTuple
 from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError, require_instance
 from rfem_jax.description.basics.numbers import POSITIVE, Fields, Number, NumberTree, is_known, read_number
 from rfem_jax.description.mechanism.section_bases import OwnStiffness
-from rfem_jax.description.mechanism.sections import SECTION_KINDS, Section, Tube
+from rfem_jax.description.mechanism.sections import SECTION_KINDS, PolygonSection, Section, Tube
 
 
 @dataclass(frozen=True)
@@ -135,6 +135,8 @@ def require_alike(spans: Sequence[Span], of: str) -> None:
     """Raise InputError for sections between which nothing can change linearly, or whose dampings differ."""
     for span in spans:
         one, other = span.first, span.last
+        if isinstance(one, PolygonSection) and isinstance(other, PolygonSection):
+            _require_one_polygon(one, other, of)
         given = [{name for name, value in vars(two).items() if value is not None} - {"name"} for two in (one, other)]
         if type(one) is not type(other) or given[0] != given[1]:
             raise InputError(
@@ -147,4 +149,13 @@ def require_alike(spans: Sequence[Span], of: str) -> None:
         raise InputError(
             f"Argument `stations` {of} must have sections of one `damping`, but they have "
             f"{', '.join(f'{x:g} s' for x in dict.fromkeys(known))}; give all the same."
+        )
+
+
+def _require_one_polygon(one: PolygonSection, other: PolygonSection, of: str) -> None:
+    if one.with_fields(scale=other.scale) != other:
+        raise InputError(
+            f"Argument `stations` {of} must change the scale of a polygon alone between two stations, since its "
+            "torsion constant would not follow its corners, but these differ; give the second one as `after` of a "
+            "station, where the link has a step."
         )

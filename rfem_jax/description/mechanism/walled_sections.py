@@ -19,11 +19,12 @@ from rfem_jax.description.basics.numbers import POSITIVE, Fields, Numbers, is_kn
 from rfem_jax.description.basics.units import DERIVED
 from rfem_jax.description.mechanism.materials import Material
 from rfem_jax.description.mechanism.section_bases import (
-    CoupledProperties,
     EdgePoint,
     SectionProperties,
     Shape,
     convert_numbers,
+    coupled_edge,
+    coupled_properties,
 )
 from rfem_jax.description.mechanism.shear_flows import ShearFlow, Wall, shear_flow
 
@@ -279,40 +280,27 @@ class CoupledShape(WalledShape):
 
     def edge_stresses(self) -> tuple[EdgePoint, ...]:
         """At the outer corners, with the shear stress T t / J_t of their walls; T about the shear centre."""
-        (y0, z0), (y_s, z_s) = self.centroid, self.shear_centre
-        about_y, about_z, product = self.second_moment_y, self.second_moment_z, self.product_of_inertia
-        determinant, points = about_y * about_z - product**2, []
-        for y, z, thickness in ((y - y0, z - z0, thickness) for y, z, thickness in self.edge):
-            by_y, by_z = (z * about_z - y * product) / determinant, (z * product - y * about_y) / determinant
-            by_torque = thickness / self.torsion_constant
-            direct = 1.0 / self.area, 0.0, 0.0, 0.0, by_y, by_z
-            points.append((*direct, 0.0, z_s * by_torque, -y_s * by_torque, by_torque, 0.0, 0.0))
-        return tuple(points)
+        (y0, z0), constant = self.centroid, self.torsion_constant
+        return coupled_edge(
+            self.area,
+            (self.second_moment_y, self.second_moment_z, self.product_of_inertia),
+            self.shear_centre,
+            [(y - y0, z - z0, thickness / constant) for y, z, thickness in self.edge],
+        )
 
     def properties(self, material: Material | None) -> SectionProperties:
         """Return the properties per unit length of this section made of `material`."""
         plain = super().properties(material)
         assert isinstance(material, Material), "else refused"
-        flow, product = shear_flow(self.walls), self.product_of_inertia
-        y, z = self._from_centroid(flow)
-        (kappa_y, kappa_z), kappa_yz = self._given(flow.factors[0], flow.factors[2]), flow.factors[1]
-        rigid = material.modulus_of_rigidity * self.area / (kappa_y * kappa_z - kappa_yz**2)
-        along_y, mixed, along_z = rigid * kappa_z, -rigid * kappa_yz, rigid * kappa_y
-        # A twist about the centroid shears the shear centre by (-z, y) of it.
-        twist_y, twist_z = mixed * y - along_y * z, along_z * y - mixed * z
-        torsion = plain.torsion + y * twist_z - z * twist_y
-        bending = -material.youngs_modulus * product
-        matrix = (
-            (plain.axial, 0.0, 0.0, 0.0, 0.0, 0.0),
-            (0.0, along_y, mixed, twist_y, 0.0, 0.0),
-            (0.0, mixed, along_z, twist_z, 0.0, 0.0),
-            (0.0, twist_y, twist_z, torsion, 0.0, 0.0),
-            (0.0, 0.0, 0.0, 0.0, plain.bending_y, bending),
-            (0.0, 0.0, 0.0, 0.0, bending, plain.bending_z),
-        )
-        values = {**vars(plain), "shear_y": along_y, "shear_z": along_z, "torsion": torsion}
-        return CoupledProperties(
-            **values, matrix=matrix, offset_y=0.0, offset_z=0.0, product=-material.density * product
+        flow = shear_flow(self.walls)
+        kappa_y, kappa_z = self._given(flow.factors[0], flow.factors[2])
+        return coupled_properties(
+            plain,
+            material,
+            self.area,
+            (kappa_y, flow.factors[1], kappa_z),
+            self._from_centroid(flow),
+            self.product_of_inertia,
         )
 
 

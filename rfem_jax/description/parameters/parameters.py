@@ -122,6 +122,7 @@ class ParameterNames(Mapping[str, Parameter]):
     def about(self, name: str) -> str:
         """Why a number of a thing that there is has no name of its own, and what to do; "" where nothing is known."""
         owner, _, component = str(name).partition(".")
+        component = component if component in _FOLLOWING else component.partition(".")[0]
         known = component in _FOLLOWING and any(one.startswith(f"{owner}.") for one in self._known)
         return f"`{name}` {_FOLLOWING[component]}." if known else ""
 
@@ -132,6 +133,7 @@ _FOUND = "follows from closing the loops or from assembly; only what a drive hol
 _FOLLOWING = {
     "shear_factor": "is derived from the diameters; give it in the description",
     **dict.fromkeys(("shear_factor_y", "shear_factor_z"), "is derived from the sizes; give it in the description"),
+    "points": "is a corner of a polygon, whose torsion constant and shear centre would not follow; change its `scale`",
     "temperature": "has no `thermal_expansion`; give it with the material, the link or the base",
     **dict.fromkeys(GRADIENTS, _DOES_NOT_BEND),
     "angle": _FOUND,
@@ -202,6 +204,8 @@ def _of_links(parts: Parts) -> Iterator[Parameter]:
         yield from _fields(owner, link, link.numbers, [path])
         for n, point in enumerate(link.axis):
             yield from _fields(owner, point, point.numbers, [(*path, "axis", n)], f"axis.{n + 1}.")
+        for n, point in enumerate(link.camber):
+            yield from _fields(owner, point, point.numbers, [(*path, "camber", n)], f"camber.{n + 1}.")
         if link.body is not None:
             yield from _of_body(owner, link.body, (*path, "body"))
         for n, mass in enumerate(link.point_masses, start=1):

@@ -16,6 +16,7 @@ from rfem_jax.description.bodies.body_files import load_body, read_matrices
 from rfem_jax.description.mechanism.axes import AxisPoint
 from rfem_jax.description.mechanism.bases import Base
 from rfem_jax.description.mechanism.bearings import Bearing
+from rfem_jax.description.mechanism.cambers import CamberPoint
 from rfem_jax.description.mechanism.clearance import Clearance
 from rfem_jax.description.mechanism.compliance import Compliance, TablesByDirection
 from rfem_jax.description.mechanism.couplings import Coupling
@@ -70,7 +71,8 @@ _IN_A_FILE = {  # where a file has something else than the class
     "{file = ...} or {mass = ..., stiffness = ..., interfaces = ...} of reduced matrices",
     "stations": "list of tables, [{x = ..., section = ..., after = ...}, ...]",
     "axis": "list of tables, [{to = ..., through = ...}, ...], through which a link leads that is not straight",
-    "form_errors": "whether a straight link has errors of form, its bow; set where a study names these",
+    "camber": "list of tables, [{x = ..., y = ..., z = ...}, ...], where the axis of a straight link was found",
+    "form_errors": "whether a straight link has errors of form, bow and even twist; set where a study names a bow",
     "point_masses": "list of tables, [{mass = ..., position = ...}, ...]",
     "compliance": "table { radial = ..., axial = ..., ... }; none: rigid",
     "clearance": "table { radial = ..., length = ..., stiffness = ..., ... } in the place of compliance; none: no play",
@@ -126,6 +128,7 @@ def key_tables() -> list[KeyTable]:
         ("[[mechanism.links]]", Link),
         ("point_masses of [[mechanism.links]]", PointMass),
         ("axis of [[mechanism.links]]", AxisPoint),
+        ("camber of [[mechanism.links]]", CamberPoint),
         ("body of [[mechanism.links]]", RigidBody),
     ):
         tables.append(_table(header, kind, *keys_of(kind), _IN_A_FILE))

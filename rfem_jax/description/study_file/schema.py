@@ -46,7 +46,7 @@ def study_schema() -> Schema:
                      ("compliance", "bearing", "clearance", "stiffness", "damping")}  # fmt: skip
     within_joints |= {key: _either(one(f"{key} of {JOINTS}")) for key in ("spring", "friction")}
     links = {"body": {"anyOf": those(f"body of {LINKS}")}, "point_masses": _list_of([one(f"point_masses of {LINKS}")])}
-    links |= {key: _list_of([one(f"{key} of {LINKS}")]) for key in ("stations", "axis")}
+    links |= {key: _list_of([one(f"{key} of {LINKS}")]) for key in ("stations", "axis", "camber")}
     mechanism = {
         "materials": _named([one("[mechanism.materials.NAME]")]),
         "sections": _named(those("[mechanism.sections.NAME]")),

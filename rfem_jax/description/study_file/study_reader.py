@@ -40,6 +40,7 @@ from rfem_jax.description.drives.translations import (
 )
 from rfem_jax.description.mechanism.axes import AxisPoint
 from rfem_jax.description.mechanism.bases import Base
+from rfem_jax.description.mechanism.cambers import CamberPoint
 from rfem_jax.description.mechanism.couplings import Coupling
 from rfem_jax.description.mechanism.links import Link, PointMass
 from rfem_jax.description.mechanism.materials import Material
@@ -55,6 +56,7 @@ from rfem_jax.description.mechanism.sections import (
     GivenSection,
     HollowRectangle,
     ISection,
+    PolygonSection,
     Rectangle,
     Section,
     TeeSection,
@@ -76,6 +78,7 @@ SHAPES = {
     "tee": TeeSection,
     "given": GivenSection,
     "composite": CompositeSection,
+    "polygon": PolygonSection,
 }
 DRIVES = {
     "moment_ramp": MomentRamp,
@@ -259,9 +262,9 @@ def _read_link(table: object, place: str, materials: Any, sections: Any, folder:
     if "stations" in settings:
         header, read = f"{place} stations", partial(_read_station, sections=sections)
         settings["stations"] = problems.attempt(read_list, settings["stations"], header, read)
-    if "axis" in settings:
-        header, read = f"{place} axis", partial(read_table, AxisPoint)
-        settings["axis"] = problems.attempt(read_list, settings["axis"], header, read)
+    for key, kind in (("axis", AxisPoint), ("camber", CamberPoint)):
+        if key in settings:
+            settings[key] = problems.attempt(read_list, settings[key], f"{place} {key}", partial(read_table, kind))
     if "body" in settings:
         settings["body"] = problems.attempt(_read_body, settings["body"], f"{place} body", folder)
     return build(Link, settings, place, problems)

@@ -6,8 +6,8 @@ Place in the pipeline: `mechanism` lists the names of its errors, `study` checks
 Names: JOINT.delta_x, .delta_y, .delta_z [rad], .d_x, .d_y, .d_z [m] displace the joint's seat in its parent;
 JOINT.child.delta_x ... the bore in the child; JOINT.pin_tilt_x, .pin_tilt_z [rad] tilt one pin in
 both links (nothing stressed at the start angle); LINK.length [m]; LINK.twist [rad]; LINK.bow_y, .bow_z [m], errors of
-form. Which of them a joint has
-depends on its kind (`joint_kinds`). Source: theory (2.3) to (2.5), (2.17).
+form, with which the twist is one, too. Which of them a joint has depends on its kind (`joint_kinds`). Source: theory
+(1.26), (1.32), (2.3) to (2.5), (2.17).
 """
 
 import math

@@ -225,8 +225,8 @@ def _attachments(model: Model, actual: ModelWithErrors, now: Moving, link: int, 
             attachments.append(_Attachment(rfe, x, wrench))
 
     for j, wrench in enumerate(now.wrenches):
-        add(topology.parents[j], actual.seat_position[0, j], -wrench, None if form is None else form.seats[j])
-        add(topology.children[j], actual.bore_position[0, j], wrench, None if form is None else form.bores[j])
+        add(topology.parents[j], actual.seat_position[0, j], -wrench, None if form is None else form.seats.share[j])
+        add(topology.children[j], actual.bore_position[0, j], wrench, None if form is None else form.bores.share[j])
     if now.frame_loads is not None and actual.frame_forces is not None:
         for name, element in actual.frame_forces.elements.items():
             exerted = now.frame_loads.exerted[name]
@@ -239,7 +239,7 @@ def _attachments(model: Model, actual: ModelWithErrors, now: Moving, link: int, 
         rfe = _rfe_of(actual, link, node)
         if rfe is not None:
             load = _point_mass_load(model, actual, k, masses[:, k], bodies.at([rfe]))
-            add(node, masses[0, k], -load, None if form is None else form.masses[k])
+            add(node, masses[0, k], -load, None if form is None else form.masses.share[k])
     return attachments
 
 
@@ -249,8 +249,8 @@ def _element_shares(model: Model, name: str) -> tuple[Array | None, Array | None
         return None, None
     if name not in model.form.elements:  # the contact of a joint with a clearance
         joint = next(j for j, joint in enumerate(model.topology.joints) if clearance_name(joint) == name)
-        return model.form.seats[joint], model.form.bores[joint]
-    shares = model.form.elements[name]
+        return model.form.seats.share[joint], model.form.bores.share[joint]
+    shares = model.form.elements[name].share
     return (shares[0] if shares.shape[0] > 1 else None), shares[-1]
 
 
@@ -412,8 +412,8 @@ def _shaped_piece_loads(
     """As `_piece_loads`, of a link with a form."""
     form, profile = actual.form, None if model.profiles is None else model.profiles[link]
     assert form is not None
-    scale, about = form.scale[link], _middles(actual, link, rfes)
-    parts = segments_of(profile, form.curves[link], *((x + about) / scale for x in piece))
+    scale, about = form.errors.scale[link], _middles(actual, link, rfes)
+    parts = segments_of(profile, form.lines.of(link), *((x + about) / scale for x in piece))
     mass, moment, inertia = bodies_of(parts, form.of_link(link, len(rfes)), _rests(actual, link, rfes), form.hinge)
     there = mass != 0.0
     centre = jnp.where(there[None], moment / jnp.where(there, mass, 1.0)[None], 0.0)

@@ -32,7 +32,7 @@ def shaped_line(
     what is loaded: its extent [m], and the integral of the arms [m^2] in these axes."""
     low, high = (jnp.minimum(jnp.maximum(x, line.begin), line.end) for x in piece)
     slope = (load[:, 1] - load[:, 0]) / (line.end - line.begin)[None]
-    edges = form.curves[line.link].edges * form.scale[line.link]
+    edges = form.lines.curves[line.link].edges * form.errors.scale[line.link]
     n = rests.shape[1]
     arms, moments, extent = jnp.zeros((3, n)), jnp.zeros((3, n)), high - low
     for first, last in itertools.pairwise(edges):

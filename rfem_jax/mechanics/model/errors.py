@@ -76,7 +76,7 @@ def assembly_errors(model: Model, values: Mapping[str, ArrayLike | str] | None =
         "pin": np.zeros((2, n_joints)),
         "length": np.zeros(n_links),
         "twist": np.zeros(n_links),
-    } | ({"bow": np.zeros((2, n_links))} if topology.bowed else {})
+    } | ({"bow": np.zeros((2, n_links))} if topology.formed else {})
     traced, deviations = [], {}
     _require_closable(model, values or {})
     for name, value in (values or {}).items():

@@ -4,9 +4,9 @@ Place in the pipeline: description.curves, profiles -> **form** -> building, wit
 
 All rfes keep axes parallel to those of their link at rest: their places, their bodies, the sdes' lever arms and the
 sdes' stiffness, a full matrix in link axes, have the whole form. A curve is run through by its arc length s, the share
-s / L of it has what depends on errors: the length's scale and the bow. Integrals are sums over points of Gauss between
-all places where a curve or its sections change, so that the program does not grow with the number of rfes. Source:
-theory (1.20) to (1.27).
+s / L of it has what depends on errors: the length's scale, the bow and the twist. Integrals are sums over points of
+Gauss between all places where a curve or its sections change, so that the program does not grow with the number of
+rfes. Source: theory (1.20) to (1.27), (1.32), (1.33).
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,7 +21,7 @@ from jaxtyping import Bool, Float, Int
 
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.basics.numbers import array_of, is_known, larger, smaller, traced
-from rfem_jax.description.mechanism.curves import Curve, Values
+from rfem_jax.description.mechanism.curves import Camber, Curve, Values
 from rfem_jax.description.mechanism.links import Link
 from rfem_jax.description.mechanism.section_bases import CoupledProperties, SectionProperties, inverse_of, stacked
 from rfem_jax.description.mechanism.sections import plane_names
@@ -39,12 +39,15 @@ DRAWN = 4  # points of a link to each of its sdes
 
 
 class Places(eqx.Module):
-    """Places along links: position [m], unit tangent, roll [rad] of the section, and share of the link's length."""
+    """Places along links: position [m], unit tangent, roll [rad] of the section, and share of the link's length;
+    camber: measured offsets [m] along y and z and their rates by the place along the link, None where no link has
+    any."""
 
     position: Float[Values, "*q 3 n"]
     tangent: Float[Values, "*q 3 n"]
     roll: Float[Values, "*q n"]
     share: Float[Values, "*q n"]
+    camber: Float[Values, "*q 4 n"] | None = None
 
 
 class Segments(eqx.Module):
@@ -60,25 +63,48 @@ class Segments(eqx.Module):
     rotary: Float[Values, "q 3 3 n"]
 
 
+class Held(NamedTuple):
+    """What is fixed to links: shares of their lengths there, and measured offsets [m] as in `Places`."""
+
+    share: Float[Values, " n"]
+    camber: Float[Values, "4 n"] | None = None
+
+
+class Lines(NamedTuple):
+    """The axes of all links, and their measured offsets from these, None where no link has any."""
+
+    curves: tuple[Curve, ...]
+    cambers: tuple[Camber, ...] | None
+
+    def of(self, link: int) -> tuple[Curve, Camber | None]:
+        """Of one link."""
+        return self.curves[link], None if self.cambers is None else self.cambers[link]
+
+
 class Form(eqx.Module):
     """The forms of all links of a model.
 
-    curves: their axes; middles: reference points of the nodes, of rfe 0 the start of its link; sdes; begins, ends: of
-    the sdes' segments; segments: of the sdes; bodies: of the nodes; seats, bores, masses, elements: shares of the
-    links' lengths at joints, point masses and both ends of force elements, by their names.
+    lines: their axes; middles: reference points of the nodes, of rfe 0 the start of its link; sdes; begins, ends: of
+    the sdes' segments; segments: of the sdes; bodies: of the nodes; seats, bores, masses, elements: where joints, point
+    masses and both ends of force elements are, by their names.
     """
 
-    curves: tuple[Curve, ...]
+    lines: Lines
     middles: Places
     sdes: Places
     begins: Places
     ends: Places
     segments: Segments
     bodies: Segments
-    seats: Float[Values, " joints"]
-    bores: Float[Values, " joints"]
-    masses: Float[Values, " masses"]
-    elements: dict[str, Float[Values, "..."]]
+    seats: Held
+    bores: Held
+    masses: Held
+    elements: dict[str, Held]
+
+    @property
+    def curves(self) -> tuple[Curve, ...]:
+        """The axes of all links."""
+        return self.lines.curves
 
 
 class Shaped(NamedTuple):
@@ -89,49 +115,57 @@ class Shaped(NamedTuple):
     axes: Float[Array, "3 3 n"]
 
 
+class FormErrors(NamedTuple):
+    """Errors of n links, or of the links of n places: scale, lengths over nominal ones; bow [m], along y and z of the
+    links; twist [rad], by which the end is turned, zero of links without errors of form; length [m], nominal."""
+
+    scale: Float[Array, " n"]
+    bow: Float[Array, "2 n"]
+    twist: Float[Array, " n"]
+    length: Float[Array, " n"]
+
+
 class ActualForm(eqx.Module):
     """The forms of all links with their errors.
 
-    scale: lengths over nominal ones; bow [m], along y and z of the links; length [m], nominal; axes: of the sections at
-    the sdes; curves: as of `Form`; hinge: axis of the links that lies along the hinges, 1 or 2.
+    errors: of all links; axes: of the sections at the sdes; lines: as of `Form`; hinge: axis of the links that lies
+    along the hinges, 1 or 2.
     """
 
-    curves: tuple[Curve, ...]
-    scale: Float[Array, " links"]
-    bow: Float[Array, "2 links"]
-    length: Float[Array, " links"]
+    lines: Lines
+    errors: FormErrors
     axes: Float[Array, "3 3 rfes"]
     hinge: int = eqx.field(static=True)
 
     def at(self, link: int, s: Float[Values, " n"]) -> Shaped:
         """Places at lengths s [m] along a link that is as long as it is, undeformed, in its frame."""
-        nominal = s / self.scale[link]
-        found = self.curves[link].at(nominal)
-        places = Places(found.position, found.tangent, found.roll, nominal / self.length[link])
-        scale, bow, length = self.of_link(link, s.shape[0])
-        return shaped(places, scale, bow, length, self.hinge)
+        curve, camber = self.lines.of(link)
+        places = _places(curve, camber, s / (self.errors.scale[link] * self.errors.length[link]))
+        return shaped(places, self.of_link(link, s.shape[0]), self.hinge)
 
-    def of_link(self, link: int, n: int) -> tuple[Array, Array, Array]:
-        """Scale, bow and nominal length of one link n times, as `shaped` takes them."""
-        scale, bow, length = (
-            jnp.broadcast_to(one[..., link, None], (*one.shape[:-1], n)) for one in (self.scale, self.bow, self.length)
-        )
-        return scale, bow, length
+    def of_link(self, link: int, n: int) -> FormErrors:
+        """The errors of one link n times, as `shaped` takes them."""
+        return jax.tree.map(lambda one: jnp.broadcast_to(one[..., link, None], (*one.shape[:-1], n)), self.errors)
 
     def whole(self, link: int) -> Float[Array, ""]:
         """Length [m] of a link along its axis, with its error."""
-        return self.scale[link] * self.length[link]
+        return self.errors.scale[link] * self.errors.length[link]
 
 
-def shaped(
-    places: Places, scale: Float[Array, " n"], bow: Float[Array, "2 n"], length: Float[Array, " n"], hinge: int
-) -> Shaped:
-    """Places with the errors of their links (theory (1.26))."""
-    across = jnp.concatenate([jnp.zeros((1, *scale.shape)), bow])
+def shaped(places: Places, errors: FormErrors, hinge: int) -> Shaped:
+    """Places with the errors of their links (theory (1.26), (1.32), (1.33))."""
+    across = jnp.concatenate([jnp.zeros((1, *errors.scale.shape)), errors.bow])
     angle = np.pi * places.share
-    position = scaled(scale, places.position) + scaled(jnp.sin(angle), across)
-    tangent = scaled(scale, places.tangent) + scaled(np.pi / length * jnp.cos(angle), across)
-    return Shaped(position, tangent, section_axes(tangent, jnp.asarray(places.roll), hinge))
+    position = scaled(errors.scale, places.position) + scaled(jnp.sin(angle), across)
+    tangent = scaled(errors.scale, places.tangent) + scaled(np.pi / errors.length * jnp.cos(angle), across)
+    if places.camber is not None:
+        position, tangent = (
+            jnp.concatenate([one[:1], one[1:] + more])
+            for one, more in ((position, places.camber[:2]), (tangent, places.camber[2:]))
+        )
+    return Shaped(
+        position, tangent, section_axes(tangent, jnp.asarray(places.roll) + errors.twist * places.share, hinge)
+    )
 
 
 def wave(share: Float[Array, " n"]) -> Float[Array, " n"]:
@@ -153,19 +187,19 @@ def section_axes(tangent: Float[Array, "3 n"], roll: Float[Array, " n"], hinge: 
 
 def sde_stiffness(
     segments: Segments,
-    errors: tuple[Array, Array, Array],
+    errors: FormErrors,
     points: tuple[Array, Array, Array],
     hinge: int,
     none: Bool[np.ndarray, " rfes"],
 ) -> Float[Array, "6 6 rfes"]:
-    """Stiffness of sdes in link axes, of errors (scale, bow, length) and points [m] of the sdes and of the begins and
+    """Stiffness of sdes in link axes, with the errors of their links, of points [m] of the sdes and of the begins and
     ends of their segments (theory (1.22) to (1.24)); zero of the rfes that have `none`."""
     sde, begin, end = points
     chord = end - begin
     chord = scaled(1.0 / jnp.sqrt(dot(chord, chord)), chord)
 
     def add(total, segment):
-        place = shaped(segment.places, *errors, hinge)
+        place = shaped(segment.places, errors, hinge)
         apart = sde - place.position
         lever = cross_matrix(apart - scaled(dot(chord, apart), chord))
         to_force = vectors.transpose(place.axes)
@@ -187,13 +221,13 @@ def sde_stiffness(
 
 
 def bodies_of(
-    bodies: Segments, errors: tuple[Array, Array, Array], about: Float[Array, "3 nodes"], hinge: int
+    bodies: Segments, errors: FormErrors, about: Float[Array, "3 nodes"], hinge: int
 ) -> tuple[Float[Array, " nodes"], Float[Array, "3 nodes"], Float[Array, "3 3 nodes"]]:
-    """Mass, first moment about the reference points `about` and inertia about these of parts of links, of errors as
-    above (theory (1.25))."""
+    """Mass, first moment about the reference points `about` and inertia about these of parts of links, with the errors
+    of these (theory (1.25))."""
 
     def add(total, part):
-        place = shaped(part.places, *errors, hinge)
+        place = shaped(part.places, errors, hinge)
         apart = place.position + apply(place.axes, part.offset) - about
         stretch = jnp.sqrt(dot(place.tangent, place.tangent))
         mass = part.weight * part.density * stretch
@@ -225,34 +259,36 @@ def form_of(
     links: Sequence[Link], plane: str, fractions: Sequence[tuple[np.ndarray, np.ndarray]], attached: Attached
 ) -> Form:
     """The forms of links, whose rfes have these lengths and middles as fractions of the links' lengths."""
-    curves = tuple(link.curve for link in links)
+    cambered = any(link.camber for link in links)
+    lines = Lines(tuple(link.curve for link in links), tuple(link.offsets for link in links) if cambered else None)
     parts: list[list[Any]] = [[] for _ in range(8)]
-    for link, curve, (shares, centres) in zip(links, curves, fractions, strict=True):
+    for n_link, (link, (shares, centres)) in enumerate(zip(links, fractions, strict=True)):
+        line = lines.of(n_link)
         n, edges = len(shares), np.concatenate([[0.0], np.cumsum(shares)])
         faces = np.arange(n) / max(n - 1, 1)
         profile = None if link.section is None else Profile(link.spans, link.material, plane)
-        bodies = _between(profile, curve, edges)
+        bodies = _between(profile, line, edges)
         found = (
-            _places(curve, np.zeros(1)), _places(curve, centres[1:]),
-            _places(curve, centres[1:] if link.reduced and n > 1 else edges[1:-1]),
-            _places(curve, faces[:-1]), _places(curve, faces[1:]), _between(profile, curve, faces),
+            _places(*line, np.zeros(1)), _places(*line, centres[1:]),
+            _places(*line, centres[1:] if link.reduced and n > 1 else edges[1:-1]),
+            _places(*line, faces[:-1]), _places(*line, faces[1:]), _between(profile, line, faces),
             jax.tree.map(lambda x: x[..., :1], bodies), jax.tree.map(lambda x: x[..., 1:], bodies),
         )  # fmt: skip
         for part, one in zip(parts, found, strict=True):
             part.append(one)
     origins, middles, sdes, begins, ends, segments, roots, others = parts
     form = Form(
-        curves=curves,
+        lines=lines,
         middles=_joined([*origins, *middles]),
         sdes=_joined(sdes),
         begins=_joined(begins),
         ends=_joined(ends),
         segments=_joined(_padded(segments)),
         bodies=_joined(_padded([*roots, *others])),
-        seats=_shares(curves, links, attached.seats),
-        bores=_shares(curves, links, attached.bores),
-        masses=_shares(curves, links, attached.masses),
-        elements={name: _shares(curves, links, some) for name, some in attached.elements.items()},
+        seats=_held(lines, links, attached.seats),
+        bores=_held(lines, links, attached.bores),
+        masses=_held(lines, links, attached.masses),
+        elements={name: _held(lines, links, some) for name, some in attached.elements.items()},
     )
     return jax.tree.map(lambda x: jnp.asarray(x, jnp.float64), form)
 
@@ -279,33 +315,41 @@ def hinge_of(plane: str) -> int:
     return 1 if plane == "xz" else 2
 
 
-def _places(curve: Curve, shares: Any) -> Places:
-    found = curve.at(shares * curve.length)
-    return Places(found.position, found.tangent, found.roll, shares)
+def _places(curve: Curve, camber: Camber | None, shares: Any) -> Places:
+    s = shares * curve.length
+    found = curve.at(s)
+    return Places(found.position, found.tangent, found.roll, shares, None if camber is None else camber.at(s))
 
 
-def _shares(curves: Sequence[Curve], links: Sequence[Link], attached: Sequence[tuple[int, Any]]) -> Any:
-    """Shares of the links' lengths at places: of straight links of x, else of the nearest place on the axis."""
-    found: list[Any] = []
+def _held(lines: Lines, links: Sequence[Link], attached: Sequence[tuple[int, Any]]) -> Held:
+    """Where places are along the links: of straight links by x, else by the nearest place on the axis."""
+    shares: list[Any] = []
+    offsets: list[Any] = []
     for index, place in attached:
         if index < 0:
-            found.append(0.0)
+            shares.append(0.0)
+            offsets.append(np.zeros(4))
             continue
-        curve = curves[index]
+        curve, camber = lines.of(index)
         at = place[0] if not links[index].course else curve.nearest(array_of(list(place))[:, None])[0]
-        found.append(smaller(larger(at / curve.length, 0.0), 1.0))
-    return array_of(found)
+        shares.append(smaller(larger(at / curve.length, 0.0), 1.0))
+        offsets.append(None if camber is None else camber.at(array_of([shares[-1] * curve.length]))[:, 0])
+    if lines.cambers is None:
+        return Held(array_of(shares))
+    return Held(array_of(shares), array_of([list(one) for one in offsets]).reshape(-1, 4).T)
 
 
-def _between(profile: Profile | None, curve: Curve, edges: Float[np.ndarray, " n"]) -> Segments:
+def _between(profile: Profile | None, line: tuple[Curve, Camber | None], edges: Float[np.ndarray, " n"]) -> Segments:
     """Points of Gauss between edges, shares of a link's length."""
-    return segments_of(profile, curve, edges[:-1] * curve.length, edges[1:] * curve.length)
+    length = line[0].length
+    return segments_of(profile, line, edges[:-1] * length, edges[1:] * length)
 
 
-def segments_of(profile: Profile | None, curve: Curve, start: Any, stop: Any) -> Segments:
+def segments_of(profile: Profile | None, line: tuple[Curve, Camber | None], start: Any, stop: Any) -> Segments:
     """Points of Gauss of the parts of a link from `start` to `stop` (n,) [m], in every part of its curve and its
     sections, with negative weights where `stop` is smaller; without a profile without mass."""
-    xp: Any = jnp if traced(jax.tree.leaves((curve, profile, start, stop))) else np
+    curve, camber = line
+    xp: Any = jnp if traced(jax.tree.leaves((line, profile, start, stop))) else np
     parts, n = [], len(NODES)
     if profile is not None:
         for s, weight, span in _pieces(xp, profile, curve, start, stop):
@@ -319,7 +363,9 @@ def segments_of(profile: Profile | None, curve: Curve, start: Any, stop: Any) ->
     of_section = (xp.concatenate([part[2][i] for part in parts]) for i in range(4))
     at = curve.at(s.reshape(-1))
     position, tangent = (xp.moveaxis(one.reshape((3, *s.shape)), 0, 1) for one in (at.position, at.tangent))
-    return Segments(Places(position, tangent, at.roll.reshape(s.shape), s / curve.length), weight, *of_section)
+    offsets = None if camber is None else xp.moveaxis(camber.at(s.reshape(-1)).reshape((4, *s.shape)), 0, 1)
+    places = Places(position, tangent, at.roll.reshape(s.shape), s / curve.length, offsets)
+    return Segments(places, weight, *of_section)
 
 
 def _pieces(xp: Any, profile: Profile, curve: Curve, start: Any, stop: Any) -> Iterator[tuple[Any, Any, Span]]:

@@ -32,6 +32,7 @@ from rfem_jax.compilation.naming import Names
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.basics.joint_kinds import COMPONENTS, KINDS, Freedom, JointKind, compliant
 from rfem_jax.description.drives.driven_motions import motion_label
+from rfem_jax.description.tolerances.error_catalogue import BOWS
 from rfem_jax.mechanics.laws.bearings import BearingCapacity
 from rfem_jax.mechanics.laws.couplings import CouplingLaw
 from rfem_jax.mechanics.laws.frame_forces import FrameForce
@@ -388,9 +389,9 @@ class Topology(NamedTuple):
         return tuple(sorted({node - self.n_links for node in nodes if node >= self.n_links}))
 
     @property
-    def bowed(self) -> bool:
-        """Whether links have errors of form."""
-        return any(name.endswith((".bow_y", ".bow_z")) for name in self.error_names)
+    def formed(self) -> tuple[int, ...]:
+        """The links with errors of form."""
+        return tuple(l for l, name in enumerate(self.links) if f"{name}.{BOWS[0]}" in self.error_names)
 
     def drawn(self, link: int) -> tuple[Float[np.ndarray, " points"], Int[np.ndarray, " points"]]:
         """Shares of its length at which a link is drawn, and the numbers of the rfes that hold these."""

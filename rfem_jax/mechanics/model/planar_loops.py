@@ -13,14 +13,17 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Float
 
 from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.tolerances.error_catalogue import LINK_ERRORS
 from rfem_jax.mechanics.laws.line_loads import LineLoad
 from rfem_jax.mechanics.laws.point_laws import ConstantVector, GivenLoad
 from rfem_jax.mechanics.model.building import PartStructure, arrays_of
+from rfem_jax.mechanics.model.form import wave
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.nominal_geometry import (
     NominalGeometry,
@@ -150,7 +153,9 @@ def _link_is_symmetric(model: Model, state: _SelfStress, normal: np.ndarray, lin
         return True
     rotation, origin = state.placed.rotation[link], state.placed.origin[link]
     principal = np.abs(rotation.T @ normal)[1:].max()
-    turned = model.form is not None and np.any(np.asarray(model.form.curves[link].rolls))
+    curve, camber = (None, None) if model.form is None else model.form.lines.of(link)
+    turned = any(one is not None and np.any(np.asarray(one)) for one in
+                 (None if curve is None else curve.rolls, None if camber is None else camber.powers))  # fmt: skip
     places = axis_places(model, link, np.linspace(0.0, 1.0, PLACES if link in model.topology.curved else 2))
     lies = inside(*(origin + rotation @ place for place in places))
     return bool(lies and principal >= 1.0 - IN_PLANE and not turned and _section_is_symmetric(model, link))
@@ -270,11 +275,8 @@ def _error_opens(model: Model, state: _SelfStress, name: str) -> bool:
     owner, _, error = name.partition(".")
     if owner in topology.links:
         l = topology.links.index(owner)
-        sides = [(topology.parents, topology.parent_at_end), (topology.children, topology.child_at_end)]
-        there = [j for nodes, at_end in sides for j, node in enumerate(nodes)
-                 if at_end[j] and node >= 0 and topology.link_of(node) == l]  # fmt: skip
-        turns = error == "twist"
-        return any(state.loads(j, placed.rotation[l][:, 0], turns, placed.origin[l]) for j in there)
+        turns, axis = error == "twist", placed.rotation[l][:, 0 if error in LINK_ERRORS else "xyz".index(error[-1])]
+        return any(state.loads(j, axis, turns, placed.origin[l]) for j in _reached(model, l, error))
     j = topology.joints.index(owner)
     of_child = error.startswith("child.")
     axes, centre = (placed.child_rotation, placed.child_centre) if of_child else (placed.joint_rotation, placed.centre)
@@ -282,8 +284,25 @@ def _error_opens(model: Model, state: _SelfStress, name: str) -> bool:
                        centre[j])  # fmt: skip
 
 
+def _reached(model: Model, link: int, error: str) -> list[int]:
+    """The joints on a link that an error of it displaces or turns: at its end, by errors of form also before it, by a
+    camber as by a bow."""
+    topology, form = model.topology, model.form
+    sides = [(topology.parents, topology.parent_at_end, "seats"), (topology.children, topology.child_at_end, "bores")]
+    found = []
+    for nodes, at_end, name in sides:
+        for j in (j for j, node in enumerate(nodes) if node >= 0 and topology.link_of(node) == link):
+            formed = form is not None and link in topology.formed
+            share = float(getattr(form, name).share[j]) if formed else float(at_end[j])
+            if (share if error in LINK_ERRORS else wave(jnp.asarray(share))) > IN_PLANE:
+                found.append(j)
+    return found
+
+
 def _number_opens(model: Model, state: _SelfStress, name: str) -> bool:
     """Whether self-stress does work on a change of a number of the description."""
+    if ".camber." in name:  # an error of form that is given as numbers: the nominal geometry knows nothing of it
+        return _error_opens(model, state, name.partition(".")[2])
     assert model.source is not None, "asked for before"
     blueprint = model.source.blueprint
     at = [one.full for one in blueprint.names.all].index(name)

@@ -18,7 +18,7 @@ class Status(NamedTuple):
 
 OK, NOT_ASSEMBLED, WRONG_SIDE, DIVERGED, DRIFTED, STEPS_EXHAUSTED, OUT_OF_RANGE, NOT_CONVERGED = range(8)
 NOT_CLOSED, DESIGN_OUT_OF_RANGE, CONTACT_NOT_RESOLVED, PAST_LIMIT = 8, 9, 10, 11
-CANNOT_CLOSE, NO_EQUILIBRIUM, NOT_BALANCED = 12, 13, 14
+CANNOT_CLOSE, NO_EQUILIBRIUM, NOT_BALANCED, UNSTABLE = 12, 13, 14, 15
 
 STATUS: tuple[Status, ...] = (
     Status("ok", "The run is complete and passed its checks."),
@@ -104,5 +104,13 @@ STATUS: tuple[Status, ...] = (
         "carried. Usually the step is too long for the motion, for a stiff stop, or for a table over "
         "position whose rows are passed within it: halve it until the balances are far below a hundredth, or take the "
         'method "auto"; a rigid mechanism at a change point does the same.',
+    ),
+    Status(
+        "unstable",
+        "The static equilibrium that was found is unstable: the slightest disturbance makes the mechanism leave it, so "
+        "that these loads and places are not those of rest. Usually a link carries more than its buckling load; a "
+        "pendulum on its head and a toggle at its dead centre do the same. Reduce the load or make the link stiffer; "
+        "hold the freedom; or start beside the equilibrium, or with a small error or force, to find the stable one. A "
+        "simulation may start there.",
     ),
 )

@@ -68,6 +68,9 @@ def _link(link: Link, growth: Number) -> Link:
         )
         for point in link.axis
     )
+    changed["camber"] = tuple(
+        point.with_fields(**{name: scaled(getattr(point, name), growth) for name in "xyz"}) for point in link.camber
+    )
     changed["stations"] = tuple(_station(station, growth, link.material is None) for station in link.stations)
     return link.with_fields(**changed)
 

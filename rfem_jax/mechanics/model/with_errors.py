@@ -28,6 +28,8 @@ from rfem_jax.mechanics.laws.line_loads import LineLoad
 from rfem_jax.mechanics.model.errors import AssemblyErrors, possible_errors
 from rfem_jax.mechanics.model.form import (
     ActualForm,
+    FormErrors,
+    Held,
     Shaped,
     bodies_of,
     hinge_of,
@@ -111,33 +113,14 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
         errors = jax.tree.map(lambda x: jnp.where(possible, x, 0.0), errors)
         length = model.length + errors.length
         scale = length / model.length
-        bow = _bow(model, errors)
-        seat = _side(
-            model.parent_rotation,
-            _bowed(model, bow, scale, model.parent_position, topology.parents, _shares(model, "seats")),
-            errors.seat,
-            topology.parents,
-            topology.parent_at_end,
-            scale,
-            errors.twist,
-            topology,
-        )
-        bore = _side(
-            model.child_rotation,
-            _bowed(model, bow, scale, model.child_position, topology.children, _shares(model, "bores")),
-            errors.bore,
-            topology.children,
-            topology.child_at_end,
-            scale,
-            errors.twist,
-            topology,
-        )
+        form = _form_errors(model, errors, scale)
+        seat, bore = _sides(model, errors, form, scale)
         # P and P_c of theory (2.4): a crooked pin stresses nothing at the start angle.
         pin = vectors.product(vectors.rotation_z(errors.pin[1]), vectors.rotation_x(errors.pin[0]))
         start = vectors.rotation_y(_start_angles(model))
         pin_in_child = vectors.transposed_product(start, vectors.product(pin, start))
         sides = (vectors.product(seat[0], pin), seat[1]), (vectors.product(bore[0], pin_in_child), bore[1])
-        mass, centre, inertia = _bodies(model, bow, length, scale)
+        mass, centre, inertia = _bodies(model, form, length, scale)
         n = topology.n_links
         return ModelWithErrors(
             topology=topology,
@@ -153,14 +136,14 @@ def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
             gravity=model.gravity,
             datum=model.parent_position[:, topology.parents.index(BASE)],
             forces=_joint_laws(model),
-            frame_forces=_frame_forces(model, bow, scale, sides),
+            frame_forces=_frame_forces(model, form, scale, sides),
             friction=model.friction,
             springs=model.springs,
             reaction_length=model.reaction_length,
-            points=_points(model, bow, scale, bore[1]),
+            points=_points(model, form, scale, bore[1]),
             possible=possible.astype(float),
             superelements=model.superelements,
-            **(_spring_damping_elements(model, length) if bow is None else _shaped_elements(model, bow, length, scale)),
+            **(_spring_damping_elements(model, length) if form is None else _shaped_elements(model, form, length)),
         )
 
 
@@ -171,41 +154,79 @@ def _inverse_inertia(topology: Topology, inertia: Float[Array, "3 3 rfes"]) -> F
     return vectors.invert_positive(inertia)
 
 
-def _bow(model: Model, errors: AssemblyErrors) -> Float[Array, "2 links"] | None:
-    """Bows of links [m], zero of those without; None where no link has a form."""
+def _form_errors(model: Model, errors: AssemblyErrors, scale: Array) -> FormErrors | None:
+    """Errors of form of links, zero of those without; None where no link has a form."""
     if model.form is None:
         return None
-    return jnp.zeros((2, model.topology.n_links)) if errors.bow is None else errors.bow
+    n = model.topology.n_links
+    bow = jnp.zeros((2, n)) if errors.bow is None else errors.bow
+    twist = jnp.where(np.isin(np.arange(n), model.topology.formed), errors.twist, 0.0)
+    return FormErrors(scale, bow, twist, model.length)
 
 
-def _shares(model: Model, name: str) -> Any:
-    return None if model.form is None else getattr(model.form, name)
+def _sides(
+    model: Model, errors: AssemblyErrors, form: FormErrors | None, scale: Array
+) -> list[tuple[Float[Array, "3 3 joints"], Float[Array, "3 joints"]]]:
+    """Frames of all joints on both sides."""
+    topology = model.topology
+    given = (
+        (model.parent_rotation, model.parent_position, errors.seat, topology.parents, topology.parent_at_end, "seats"),
+        (model.child_rotation, model.child_position, errors.bore, topology.children, topology.child_at_end, "bores"),
+    )
+    found = []
+    for rotation, position, error, nodes, at_end, name in given:
+        held: Held | None = None if model.form is None else getattr(model.form, name)
+        turn = _turns(topology, errors.twist, nodes, at_end, held)
+        found.append(
+            _side(rotation, _displaced(model, form, position, nodes, held), error, nodes, scale, turn, topology)
+        )
+    return found
 
 
-def _bowed(
+def _turns(
+    topology: Topology, twist: Array, nodes: tuple[int, ...], at_end: tuple[bool, ...], held: Held | None
+) -> Float[Array, " joints"]:
+    """Angles [rad] by which the twists of links turn the frames of joints: evenly growing along links with errors of
+    form (theory (1.32)), at the ends of others (2.5)."""
+    link = np.array([0 if node < 0 else topology.link_of(node) for node in nodes])
+    on_link = np.array([node >= 0 for node in nodes])
+    part: Any = np.array(at_end, dtype=float)
+    if topology.formed:
+        assert held is not None, "such a model has a form"
+        part = jnp.where(np.isin(link, topology.formed), held.share, part)
+    return jnp.where(on_link, _link_values(twist, link) * part, 0.0)
+
+
+def _displaced(
     model: Model,
-    bow: Array | None,
-    scale: Array,
+    form: FormErrors | None,
     position: Float[Array, "3 n"],
     nodes: Sequence[int],
-    shares: Float[Array, " n"] | None,
+    held: Held | None,
 ) -> Float[Array, "3 n"]:
-    """Places in frames of nodes, at shares of the links' lengths, with the bows of their links; on links with an axis y
-    and z as much longer as x becomes in what follows (theory (1.26))."""
-    if bow is None or model.form is None or shares is None or not len(nodes):
+    """Places in frames of nodes with the twists, bows and cambers of their links; on links with an axis y and z as much
+    longer as x becomes in what follows (theory (1.26), (1.32), (1.33))."""
+    if form is None or model.form is None or held is None or not len(nodes):
         return position
     topology = model.topology
     link = np.array([0 if node == BASE else topology.link_of(node) for node in nodes])
     on_link = np.array([node != BASE for node in nodes])
     curved = np.isin(link, topology.curved) & on_link
-    apart = wave(shares) - wave(_link_values(jnp.asarray(model.form.middles.share), np.maximum(np.array(nodes), 0)))
-    across = _link_values(bow, link) * jnp.where(on_link, apart, 0.0)[None]
-    longer = jnp.where(curved, _link_values(scale, link), 1.0)
+    middles, of_nodes = model.form.middles, np.maximum(np.array(nodes), 0)
+    apart = wave(jnp.asarray(held.share)) - wave(_link_values(jnp.asarray(middles.share), of_nodes))
+    across = _link_values(form.bow, link) * apart[None]
+    if middles.camber is not None and held.camber is not None:
+        across = across + held.camber[:2] - _link_values(jnp.asarray(middles.camber[:2]), of_nodes)
+    across = jnp.where(on_link[None], across, 0.0)
+    longer = jnp.where(curved, _link_values(form.scale, link), 1.0)
+    if topology.formed:
+        turn = jnp.where(on_link, _link_values(form.twist, link) * held.share, 0.0)
+        position = vectors.apply(vectors.rotation_x(turn), position)
     return jnp.concatenate([position[:1], position[1:] * longer[None] + across])
 
 
 def _frame_forces(
-    model: Model, bow: Array | None, scale: Array, sides: tuple[tuple[Array, Array], tuple[Array, Array]]
+    model: Model, form: FormErrors | None, scale: Array, sides: tuple[tuple[Array, Array], tuple[Array, Array]]
 ) -> FrameForceSet | None:
     """The force elements, whose frames lie on links that are `scale` times as long, or are those of joints: rotations
     (3, 3, joints) and positions (3, joints) on both `sides`."""
@@ -220,18 +241,18 @@ def _frame_forces(
         else:
             ends = (element.parent, element.child)
             if model.form is not None and name in model.form.elements:
-                shares = model.form.elements[name]
-                shares = (None, shares[0]) if shares.shape[0] == 1 else (shares[0], shares[1])
-                ends = [_bowed_frame(model, bow, scale, *end) for end in zip(ends, shares)]
+                held = model.form.elements[name]
+                several = [jax.tree.map(lambda x, k=k: x[..., k : k + 1], held) for k in range(held.share.shape[0])]
+                ends = [_displaced_frame(model, form, *end) for end in zip(ends, [None, *several][-2:])]
             frames = [_scaled_frame(topology, frame, scale) for frame in ends]
         elements[name] = eqx.tree_at(lambda one: (one.parent, one.child), element, tuple(frames))
     return FrameForceSet(elements, jnp.ones(()), _line_loads(model, scale))
 
 
-def _bowed_frame(model: Model, bow: Array | None, scale: Array, frame: NodeFrame, share: Array | None) -> NodeFrame:
-    if share is None:
+def _displaced_frame(model: Model, form: FormErrors | None, frame: NodeFrame, held: Held | None) -> NodeFrame:
+    if held is None:
         return frame
-    moved = _bowed(model, bow, scale, frame.position[:, None], [frame.node], share[None])
+    moved = _displaced(model, form, frame.position[:, None], [frame.node], held)
     return NodeFrame(frame.node, frame.rotation, moved[:, 0])
 
 
@@ -259,7 +280,7 @@ def _stretched(topology: Topology, node: int, position: Float[Array, "3"], scale
 
 
 def _points(
-    model: Model, bow: Array | None, scale: Array, centres: Float[Array, "3 joints"]
+    model: Model, form: FormErrors | None, scale: Array, centres: Float[Array, "3 joints"]
 ) -> dict[str, CarriedPoint] | None:
     """The points whose paths are followed, on links that became `scale` times as long; `centres` of the joints on
     their children."""
@@ -267,11 +288,14 @@ def _points(
         return None
 
     def place(one: CarriedPoint) -> Array:
-        if bow is None or model.form is None or one.node == BASE:
+        if form is None or model.form is None or one.node == BASE:
             return one.position
-        # Of straight links alone, which may be bowed.
-        share = model.form.middles.share[one.node] + one.position[0] / model.length[model.topology.link_of(one.node)]
-        return _bowed(model, bow, scale, one.position[:, None], [one.node], jnp.clip(share, 0.0, 1.0)[None])[:, 0]
+        # Of straight links alone, which may have errors of form.
+        link = model.topology.link_of(one.node)
+        share = jnp.clip(model.form.middles.share[one.node] + one.position[0] / model.length[link], 0.0, 1.0)[None]
+        _, camber = model.form.lines.of(link)
+        held = Held(share, None if camber is None else camber.at(share * model.length[link]))
+        return _displaced(model, form, one.position[:, None], [one.node], held)[:, 0]
 
     return {
         name: CarriedPoint(
@@ -328,19 +352,17 @@ def _side(
     position: Array,
     error: Array,
     nodes: tuple[int, ...],
-    at_end: tuple[bool, ...],
     scale: Array,
-    twist: Array,
+    turn: Float[Array, " joints"],
     topology: Topology,
 ) -> tuple[Float[Array, "3 3 joints"], Float[Array, "3 joints"]]:
     """Frames of all joints on one side: nominal frame, stretched and twisted link, error."""
-    # F' of theory (2.5): x grows with the link, and the frames at its end turn with the twist.
+    # F' of theory (2.5): x grows with the link, and frames turn with the twist.
     link = np.array([0 if node < 0 else topology.link_of(node) for node in nodes])
     on_link = np.array([node >= 0 for node in nodes])
     stretch = jnp.where(on_link, _link_values(scale, link), 1.0)
     position = jnp.concatenate([position[:1] * stretch[None], position[1:]])
-    twisted = vectors.rotation_x(jnp.where(on_link & np.array(at_end), _link_values(twist, link), 0.0))
-    rotation = vectors.product(twisted, rotation)
+    rotation = vectors.product(vectors.rotation_x(turn), rotation)
     # F' E with E = [R_z(delta_z) R_y(delta_y) R_x(delta_x), (d_x, d_y, d_z)] of theory (2.3), (2.17).
     tilt = vectors.rotation_x(error[0])
     if "delta_y" in topology.error_components:
@@ -350,7 +372,7 @@ def _side(
 
 
 def _bodies(
-    model: Model, bow: Array | None, length: Array, scale: Array
+    model: Model, form: FormErrors | None, length: Array, scale: Array
 ) -> tuple[Float[Array, " nodes"], Float[Array, "3 nodes"], Float[Array, "3 3 nodes"]]:
     """Mass, centre of mass and central inertia of all nodes, point masses included."""
     topology = model.topology
@@ -370,11 +392,11 @@ def _bodies(
         slender = jnp.asarray(np.array([0.0, 1.0, 1.0]))[:, None] * (model.taper.spread * longer**3)[None]
         principal = slender + model.taper.rotary * longer[None]
     beam_centre, of_beam = _x_vectors(axial), None
-    if bow is not None:
-        mass, beam_centre, of_beam = _shaped_bodies(model, bow, scale)
+    if form is not None:
+        mass, beam_centre, of_beam = _shaped_bodies(model, form)
 
     holder = np.array(topology.masses, dtype=int)
-    point = _point_places(model, bow, scale)
+    point = _point_places(model, form, scale)
     # Sums at the nodes that hold them, by products: additions at places would be scatters.
     onto = (holder[:, None] == np.arange(nodes)).astype(float)
     total = mass + model.point_mass @ onto
@@ -400,20 +422,21 @@ def _bodies(
     return total, centre, inertia + added @ onto
 
 
-def _on_nodes(model: Model, bow: Array, scale: Array, links: np.ndarray) -> tuple[Array, Array, Array]:
-    """Scale, bow and nominal length of the links of nodes, as `form.shaped` takes them."""
-    return _link_values(scale, links), _link_values(bow, links), _link_values(model.length, links)
+def _on_nodes(form: FormErrors, links: np.ndarray) -> FormErrors:
+    """The errors of the links of nodes, as `form.shaped` takes them."""
+    return FormErrors(*(_link_values(one, links) for one in form))
 
 
-def _references(model: Model, bow: Array, scale: Array) -> Shaped:
+def _references(model: Model, form: FormErrors) -> Shaped:
     """The reference points of all nodes in the frames of their links."""
     assert model.form is not None
-    whole = _on_nodes(model, bow, scale, _node_fractions(model.topology)[0])
-    return shaped(model.form.middles, *whole, hinge_of(model.topology.plane))
+    whole = _on_nodes(form, _node_fractions(model.topology)[0])
+    return shaped(model.form.middles, whole, hinge_of(model.topology.plane))
 
 
-def _point_places(model: Model, bow: Array | None, scale: Array) -> Float[Array, "3 masses"]:
-    point = _bowed(model, bow, scale, model.point_position, model.topology.masses, _shares(model, "masses"))
+def _point_places(model: Model, form: FormErrors | None, scale: Array) -> Float[Array, "3 masses"]:
+    held = None if model.form is None else model.form.masses
+    point = _displaced(model, form, model.point_position, model.topology.masses, held)
     link = np.array([model.topology.link_of(node) for node in model.topology.masses], dtype=int)
     return jnp.concatenate([point[:1] * _link_values(scale, link)[None], point[1:]])
 
@@ -422,16 +445,16 @@ def point_places(model: Model, actual: ModelWithErrors) -> Float[Array, "3 masse
     """Places [m] of point masses in the frames of their nodes, with the errors of their links."""
     middles = np.array([model.topology.fractions(l)[1][0] for l in range(model.topology.n_links)])
     scale = actual.beam_middle / middles / model.length
-    return _point_places(model, None if actual.form is None else actual.form.bow, scale)
+    return _point_places(model, None if actual.form is None else actual.form.errors, scale)
 
 
 def _shaped_bodies(
-    model: Model, bow: Array, scale: Array
+    model: Model, form: FormErrors
 ) -> tuple[Float[Array, " nodes"], Float[Array, "3 nodes"], Float[Array, "3 3 nodes"]]:
     """Mass, centre from the reference point, and central inertia of the beams of all nodes."""
     assert model.form is not None
-    whole = _on_nodes(model, bow, scale, _node_fractions(model.topology)[0])
-    about = _references(model, bow, scale).position
+    whole = _on_nodes(form, _node_fractions(model.topology)[0])
+    about = _references(model, form).position
     mass, moment, inertia = bodies_of(model.form.bodies, whole, about, hinge_of(model.topology.plane))
     there = mass > 0.0
     centre = jnp.where(there[None], moment / jnp.where(there, mass, 1.0)[None], 0.0)
@@ -481,18 +504,18 @@ def _spring_damping_elements(model: Model, length: Array) -> dict[str, Any]:
     }
 
 
-def _shaped_elements(model: Model, bow: Array, length: Array, scale: Array) -> dict[str, Any]:
+def _shaped_elements(model: Model, errors: FormErrors, length: Array) -> dict[str, Any]:
     """As `_spring_damping_elements`, of links with forms; places and lever arms are vectors (theory (1.22) to
     (1.24))."""
     topology, form, hinge = model.topology, model.form, hinge_of(model.topology.plane)
     assert form is not None
     link = topology.link_of_rfe.astype(int)
-    whole, middles = _on_nodes(model, bow, scale, link), _references(model, bow, scale).position
+    whole, middles = _on_nodes(errors, link), _references(model, errors).position
     rest, inner = middles[:, topology.n_links :], np.ones(topology.n_rfes, dtype=bool)
     inner[[a for a, b in topology.ranges if b > a]] = False
     before = jnp.where(inner[None], jnp.roll(rest, 1, axis=1), 0.0)
-    sdes = shaped(form.sdes, *whole, hinge)
-    begin, end = (shaped(one, *whole, hinge).position for one in (form.begins, form.ends))
+    sdes = shaped(form.sdes, whole, hinge)
+    begin, end = (shaped(one, whole, hinge).position for one in (form.begins, form.ends))
     count = np.array(topology.elements, dtype=float)[link] - 1.0
     return {
         "rest": rest,
@@ -500,7 +523,7 @@ def _shaped_elements(model: Model, bow: Array, length: Array, scale: Array) -> d
         "damping": _link_values(model.section.damping, link),
         "lever_left": sdes.position - before,
         "lever_right": sdes.position - rest,
-        "form": ActualForm(form.curves, scale, bow, model.length, sdes.axes, hinge),
+        "form": ActualForm(form.lines, errors, sdes.axes, hinge),
         **_bends(model, link, _link_values(length, link) / np.maximum(count, 1.0)),
     }
 

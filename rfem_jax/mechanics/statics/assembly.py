@@ -30,6 +30,7 @@ from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.algebra.derivative_rules import implicit_function
 from rfem_jax.mechanics.algebra.vectors import Scalar, apply_transposed, cross, dot, solve_equations
 from rfem_jax.mechanics.dynamics import loads
+from rfem_jax.mechanics.dynamics.loads import JointLoads
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.elements.deformed_bodies import spring_forces
 from rfem_jax.mechanics.elements.linear_validity import linear_error, linear_range
@@ -61,11 +62,20 @@ from rfem_jax.mechanics.model.status import (
     NOT_ASSEMBLED,
     OK,
     OUT_OF_RANGE,
+    UNSTABLE,
     WRONG_SIDE,
 )
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors, apply_errors
 from rfem_jax.mechanics.statics.contact import search_contact
 from rfem_jax.mechanics.statics.designs import Design, designed, status_of
+from rfem_jax.mechanics.statics.equilibrium_stability import (
+    Stability,
+    Tangent,
+    free_coordinates,
+    is_tested,
+    stability_of,
+    tangent_of,
+)
 from rfem_jax.mechanics.statics.search import (
     Equations,
     Linear,
@@ -91,7 +101,7 @@ class Load(NamedTuple):
 class Assembled(NamedTuple):
     """An assembled mechanism: state at rest, preload of every joint, status code; design_gap [m]: what the loops of a
     design stay open by at the start, None without one; contacts: of the joints with clearance, None without any;
-    linear_error: estimated error of linear elements (`linear_validity`)."""
+    linear_error: estimated error of linear elements (`linear_validity`); stability: how fast it is left."""
 
     state: State
     preload: dict[str, Load]
@@ -99,6 +109,7 @@ class Assembled(NamedTuple):
     design_gap: Float[Array, ""] | None = None
     contacts: dict[str, ContactState] | None = None
     linear_error: Float[Array, ""] | None = None
+    stability: Stability | None = None
 
 
 def assemble(
@@ -128,13 +139,15 @@ def assemble(
 
 @functools.partial(Program, nameless=True)
 def _assemble(model: Model, errors: AssemblyErrors, hold: dict[str, Array] | str | None) -> Assembled:
-    actual = apply_errors(model, errors)
-    position, multipliers, status = equilibrium(model, actual, held_angles(model, hold))
-    state = loads.static_state(model.topology, position)
-    preload = named(model, static_loads(model, actual, state, multipliers))
+    actual, held = apply_errors(model, errors), held_angles(model, hold)
+    found = settled(model, actual, held)
+    state = loads.static_state(model.topology, found.position)
+    carried = static_loads(model, actual, state, found.multipliers)
+    leaving = stability(model, actual, held, state, found.tangent, carried)
     contacts = contact_states(actual, motion_of(actual, state)) if model.topology.clearances else None
-    error = linear_error(linear_range(actual, position))
-    return Assembled(state, preload, status, contacts=contacts, linear_error=error)
+    error = linear_error(linear_range(actual, found.position))
+    status = status_at_rest(found.status, leaving)
+    return Assembled(state, named(model, carried), status, contacts=contacts, linear_error=error, stability=leaving)
 
 
 def checked_hold(model: Model, hold: Mapping[str, ArrayLike] | str | None) -> dict[str, Array] | str | None:
@@ -216,6 +229,16 @@ class _Scaled(NamedTuple):
         values = self.unravel(unknowns[: self.units.size] * self.units)
         return moved(self.topology, self.origin, values) if self.topology.balls else values
 
+    def rates(self, unknowns: Array) -> Float[Array, "n n"]:
+        """Rates of the coordinates, in units, by those of the unknowns: other than these where joints turn about any
+        axis."""
+
+        def rate(along):
+            position, change = jax.jvp(self.coordinates, (unknowns[: along.size],), (along,))
+            return ravel_pytree(rates_of(self.topology, position, change))[0] / self.units
+
+        return jax.vmap(rate, out_axes=1)(jnp.eye(self.units.size))
+
     def multipliers(self, unknowns: Array) -> Array:
         return unknowns[self.units.size :] * self.force
 
@@ -280,11 +303,49 @@ def _joint_units(topology: Topology, length: Array) -> Float[Array, " freedoms"]
     return jnp.where(slides, length, ones) if slides.any() else ones
 
 
+class Settled(NamedTuple):
+    """A static equilibrium: coordinates, multipliers [N], status of the search, and the tangent there, None where
+    nothing is tested."""
+
+    position: Coordinates
+    multipliers: Float[Array, " constraints"]
+    status: Int[Array, ""]
+    tangent: Tangent | None
+
+
 def equilibrium(
     model: Model, actual: ModelWithErrors, held: dict[int, Float[Array, ""]]
 ) -> tuple[Coordinates, Float[Array, " constraints"], Int[Array, ""]]:
-    """Coordinates, multipliers [N] and status of the static equilibrium; `held`: index of a joint coordinate -> its
-    value [rad, m].
+    """Coordinates, multipliers [N] and status of the static equilibrium, stable or not; `held`: as of `settled`."""
+    return settled(model, actual, held)[:3]
+
+
+def stability(
+    model: Model,
+    actual: ModelWithErrors,
+    held: Iterable[int],
+    state: State,
+    tangent: Tangent | None,
+    carried: JointLoads,
+) -> Stability | None:
+    """Stability of a static equilibrium found by `settled` with the joint coordinates `held`; `carried`: by joints."""
+    return None if tangent is None else stability_of(actual, state, tangent, _free(model.topology, held), carried)
+
+
+def status_at_rest(status: Int[Array, ""], leaving: Stability | None) -> Int[Array, ""]:
+    """Status of what shall stay at rest: one that is left is none."""
+    if leaving is None:
+        return status
+    return jnp.where((status == OK) & (leaving.growth > 0.0), UNSTABLE, status).astype(jnp.int32)
+
+
+def _free(topology: Topology, held: Iterable[int]) -> np.ndarray:
+    """Places of the coordinates that the equilibrium is sought for."""
+    return free_coordinates(topology, np.array([*topology.idle, *held, *_dependent(topology)], int))
+
+
+def settled(model: Model, actual: ModelWithErrors, held: dict[int, Float[Array, ""]]) -> Settled:
+    """The static equilibrium; `held`: index of a joint coordinate -> its value [rad, m].
 
     From the undeformed start by the chord method with the tangent of the perfect mechanism, which is the same
     for all samples of a batch, and only where that does not converge by Newton's method.  Geometrically exact
@@ -326,7 +387,8 @@ def equilibrium(
 
     # The search is not differentiated: its derivatives are those of the implicit function, taken at its result.
     loaded = jax.lax.stop_gradient(args)
-    end, found = _search(scaled, equations, given, (undeformed, guess), perfect, loaded)
+    tested = is_tested(topology, held)
+    end, found, jacobian = _search(scaled, equations, given, (undeformed, guess), perfect, loaded, tested)
 
     def tangent_solve(linear, value, inputs, end):
         scaled, (actual, _) = inputs
@@ -339,7 +401,12 @@ def equilibrium(
     unknowns = implicit_function(equations_of, tangent_solve, end, (scaled, args))
     position = with_displacements(actual, scaled.coordinates(unknowns))
     found = found & jnp.all(jnp.isfinite(unknowns))
-    return position, scaled.multipliers(unknowns), _status_of(actual, position, found, scaled.length)
+    scales, rates = (scaled.units, scaled.length, scaled.force), scaled.rates(end) if topology.balls else None
+    tangent = None
+    if jacobian is not None:
+        tangent = jax.lax.stop_gradient(tangent_of(topology, jacobian, _free(topology, held), rates, scales))
+    status = _status_of(actual, position, found, scaled.length)
+    return Settled(position, scaled.multipliers(unknowns), status, tangent)
 
 
 @kernel
@@ -388,18 +455,21 @@ def _search(
     starts: tuple[Array, Array],
     perfect: tuple[ModelWithErrors, Array],
     loaded: tuple[ModelWithErrors, Array],
-) -> tuple[Array, Array]:
-    """Unknowns under load and whether the search converged, from the undeformed start, first without and then with the
-    held angles; `perfect` and `loaded`: args of the equations."""
+    tested: bool,
+) -> tuple[Array, Array, Array | None]:
+    """Unknowns under load, whether the search converged, and the Jacobian there if stability is `tested`, from the
+    undeformed start, first without and then with the held angles; `perfect` and `loaded`: args of the equations."""
     topology, (undeformed, guess) = scaled.topology, starts
     if topology.clearances:
-        return search_contact(equations, starts, perfect, loaded, (scaled.length, scaled.force))
+        end, found = search_contact(equations, starts, perfect, loaded, (scaled.length, scaled.force))
+        # That of the search has springs in the places of contacts.
+        return end, found, newton(equations, end, loaded, converged=True, with_jacobian=True)[2] if tested else None
     if topology.exact:
-        return load_steps(equations, undeformed, perfect, loaded)
+        return load_steps(equations, undeformed, perfect, loaded, with_jacobian=tested)
     if topology.minimum_norm or topology.massless:
-        return newton(equations, guess, loaded)
+        return newton(equations, guess, loaded, with_jacobian=tested)
     constant = _preconditioner(scaled, given, perfect[0], undeformed)
-    return chord(equations, constant, _rows(scaled, perfect[0]), guess, loaded)
+    return chord(equations, constant, _rows(scaled, perfect[0]), guess, loaded, with_jacobian=tested)
 
 
 def _preconditioner(scaled: _Scaled, given: np.ndarray, actual: ModelWithErrors, unknowns: Array) -> Linear:
@@ -553,18 +623,26 @@ def moving_equilibrium(
 ) -> tuple[State, Float[Array, " constraints"], Int[Array, ""]]:
     """`equilibrium`, and the rates of all coordinates when held ones move at `rates` [rad/s, m/s] through equilibria:
     the derivative of the static equilibrium along these, in one search."""
+    state, found = settled_in_motion(model, actual, held, rates)
+    return state, found.multipliers, found.status
+
+
+def settled_in_motion(
+    model: Model, actual: ModelWithErrors, held: dict[int, Float[Array, ""]], rates: Mapping[int, Scalar]
+) -> tuple[State, Settled]:
+    """`moving_equilibrium` with the tangent of the equilibrium."""
     if not rates:
-        position, multipliers, status = equilibrium(model, actual, held)
-        return loads.static_state(model.topology, position), multipliers, status
+        found = settled(model, actual, held)
+        return loads.static_state(model.topology, found.position), found
 
     def at_values(values):
-        position, *others = equilibrium(model, actual, {**held, **values})
-        return position, others
+        found = settled(model, actual, {**held, **values})
+        return found.position, found
 
     values = {k: jnp.asarray(held[k]) for k in rates}
     tangents = {k: jnp.asarray(rate) for k, rate in rates.items()}
-    position, derivative, (multipliers, status) = jax.jvp(at_values, (values,), (tangents,), has_aux=True)
-    return State(position, rates_of(model.topology, position, derivative)), multipliers, status
+    position, derivative, found = jax.jvp(at_values, (values,), (tangents,), has_aux=True)
+    return State(position, rates_of(model.topology, position, derivative)), found._replace(position=position)
 
 
 def _force_scale(model: Model, actual: ModelWithErrors) -> Array:

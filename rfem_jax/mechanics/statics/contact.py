@@ -89,7 +89,7 @@ class _Search(NamedTuple):
         value, jacobian = linearised(of, jnp.concatenate([unknowns, wrenches]), args)
         return value[:n], jacobian[:n, :n], jacobian[:n, n:], jacobian[n:, :n]
 
-    def newton(self, start: Array, args: Any, iterations: int) -> tuple[Array, Array]:
+    def newton(self, start: Array, args: Any, iterations: int) -> tuple[Array, Array, None]:
         """Unknowns after Newton's method with contacts, and whether it converged."""
         n = self.equations.n_coordinates
 
@@ -99,7 +99,7 @@ class _Search(NamedTuple):
             value, jacobian, by_wrenches, poses = self.linearised(unknowns, args, at, wrenches)
             solved = self.equations.solve(jacobian, jnp.concatenate([value[:, None], by_wrenches], axis=1))
             step = _Condensed(-solved[:, 0], -solved[:, 1:], poses).solve(args[0], at, self.units)
-            return value, -step, _rows(jacobian, unknowns, n)
+            return value, -step, _rows(jacobian, unknowns, n), None
 
         return iterate(n, start, iterations, present)
 
@@ -116,9 +116,10 @@ class _Search(NamedTuple):
             value = self.equations.residual(unknowns, args)
             condensed = _Condensed(-inverse @ value, by_wrenches, poses)
             step = condensed.solve(args[0], self.poses(unknowns, args[0]), self.units)
-            return value, -step, _rows(jacobian, unknowns, n)
+            return value, -step, _rows(jacobian, unknowns, n), None
 
-        return iterate(n, start, CHORD_ITERATIONS, constant, tolerance=CHORD_TOLERANCE)
+        near, converged, _ = iterate(n, start, CHORD_ITERATIONS, constant, tolerance=CHORD_TOLERANCE)
+        return near, converged
 
 
 def _rows(jacobian: Array, unknowns: Array, n: int) -> Array:
@@ -141,5 +142,5 @@ def search_contact(
     near, converged = search.chord(guess, undeformed, (shared, perfect[1]), loaded)
     rotation = equations.coordinates(near - guess).elastic[3:]
     converged = converged & (jnp.max(jnp.abs(rotation), initial=0.0) < LARGEST_ROTATION_OF_A_STEP)
-    end, reached = load_steps(equations, undeformed, perfect, loaded, search.newton, converged)
+    end, reached, _ = load_steps(equations, undeformed, perfect, loaded, search.newton, converged)
     return jnp.where(converged, near, end), reached

@@ -39,8 +39,8 @@ SMALLEST_LOAD_STEP = 1e-3
 LARGEST_ROTATION_OF_A_STEP = 0.7  # rad
 
 Linear = Callable[[Float[Array, " n"]], Float[Array, " n"]]
-# Unknowns, args and most iterations -> unknowns and whether they were found.
-Solver = Callable[[Array, Any, int], tuple[Array, Array]]
+# Unknowns, args and most iterations -> unknowns, whether they were found, and the last Jacobian.
+Solver = Callable[[Array, Any, int], tuple[Array, Array, Array | None]]
 
 
 class Equations(NamedTuple):
@@ -58,10 +58,16 @@ class Equations(NamedTuple):
 
 
 def chord(
-    equations: Equations, preconditioner: Linear, rows: Float[Array, " n"], start: Float[Array, " n"], args: Any
-) -> tuple[Float[Array, " n"], Bool[Array, ""]]:
-    """Unknowns and whether the search converged, by the chord method (Newton's with a constant matrix, here
-    `preconditioner` for its inverse), where that does not converge by Newton's method from the start.
+    equations: Equations,
+    preconditioner: Linear,
+    rows: Float[Array, " n"],
+    start: Float[Array, " n"],
+    args: Any,
+    with_jacobian: bool = False,
+) -> tuple[Float[Array, " n"], Bool[Array, ""], Float[Array, "n n"] | None]:
+    """Unknowns, whether the search converged, and the Jacobian there if wanted, by the chord method (Newton's with a
+    constant matrix, here `preconditioner` for its inverse), where that does not converge by Newton's method from the
+    start.
 
     `rows`: sums of the absolute entries of the matrix by row, of an unloaded mechanism.
     """
@@ -70,10 +76,11 @@ def chord(
     def constant(unknowns):
         value = equations.residual(unknowns, args)
         loaded = 1.0 + jnp.max(jnp.abs(unknowns[n:]), initial=0.0)
-        return value, preconditioner(value), rows * loaded
+        return value, preconditioner(value), rows * loaded, None
 
-    near, converged = iterate(n, start, CHORD_ITERATIONS, constant, tolerance=CHORD_TOLERANCE)
-    return newton(equations, jnp.where(converged, near, start), args, converged=converged)
+    near, converged, _ = iterate(n, start, CHORD_ITERATIONS, constant, tolerance=CHORD_TOLERANCE)
+    start = jnp.where(converged, near, start)
+    return newton(equations, start, args, converged=converged, with_jacobian=with_jacobian)
 
 
 def solve_dense(equations: Equations, linear: Linear, value: Float[Array, " n"]) -> Float[Array, " n"]:
@@ -158,29 +165,34 @@ def newton(
     args: Any,
     iterations: int = MAX_ITERATIONS,
     converged: bool | Bool[Array, ""] = False,
-) -> tuple[Float[Array, " n"], Bool[Array, ""]]:
-    """Unknowns after Newton's method and whether it converged; it does nothing if `converged` is true at the start."""
+    with_jacobian: bool = False,
+) -> tuple[Float[Array, " n"], Bool[Array, ""], Float[Array, "n n"] | None]:
+    """Unknowns after Newton's method, whether it converged, and the Jacobian before its last step if wanted; if
+    `converged` is true at the start, the unknowns stay, and the Jacobian is that of the start."""
 
     n = equations.n_coordinates
 
     def present(unknowns):
         value, jacobian = linearised(equations.residual, unknowns, args)
         size = jnp.concatenate([jnp.ones(n), 1.0 + jnp.abs(unknowns[n:])])
-        return value, equations.solve(jacobian, value), jnp.abs(jacobian) @ size
+        return value, equations.solve(jacobian, value), jnp.abs(jacobian) @ size, jacobian
 
-    return iterate(n, start, iterations, present, converged)
+    matrix = jnp.zeros((start.size, start.size)) if with_jacobian else None
+    return iterate(n, start, iterations, present, converged, matrix=matrix)
 
 
 def iterate(
     n: int,
     start: Array,
     iterations: int,
-    step_from: Callable[[Array], tuple[Array, Array, Array]],
+    step_from: Callable[[Array], tuple[Array, Array, Array, Array | None]],
     found: bool | Array = False,
     tolerance: float = TOLERANCE,
-) -> tuple[Array, Array]:
-    """Unknowns, `n` of them coordinates, after steps from `step_from` (unknowns -> residual, step, and by how
-    much a step of size one changes the residual), and whether they converged.
+    matrix: Array | None = None,
+) -> tuple[Array, Array, Array | None]:
+    """Unknowns, `n` of them coordinates, after steps from `step_from` (unknowns -> residual, step, by how much a step
+    of size one changes the residual, and a matrix), whether they converged, and the last matrix. With a `matrix` to
+    begin with, one is made even of what is `found`.
 
     The last step must be small in the coordinates (multipliers follow them: their rounding is that
     of the stiffest spring), and the residual before it small in every row against the change by such a
@@ -188,20 +200,28 @@ def iterate(
     """
 
     def going_on(carry):
-        unknowns, converged, count = carry
-        return ~converged & jnp.all(jnp.isfinite(unknowns)) & (count < iterations)
+        unknowns, converged, count, matrix = carry
+        searching = ~converged & jnp.all(jnp.isfinite(unknowns)) & (count < iterations)
+        return searching if matrix is None else searching | (count == 0)
 
     def improve(carry):
-        unknowns, _, count = carry
-        value, step, rows = step_from(unknowns)
+        unknowns, converged, count, matrix = carry
+        value, step, rows, new = step_from(unknowns)
         small_step = _size(step[:n]) <= tolerance
         # Of equations that say nothing, as of out-of-plane directions, rounding is left of both sides.
         small_residual = jnp.all(jnp.abs(value) <= TOLERANCE * jnp.maximum(rows, 1.0))
-        return unknowns - step, small_step & small_residual, count + 1
+        if matrix is None:
+            new = None
+        return (
+            jnp.where(converged, unknowns, unknowns - step),
+            converged | (small_step & small_residual),
+            count + 1,
+            new,
+        )
 
-    carry = (start, jnp.asarray(found), jnp.zeros((), jnp.int32))
-    unknowns, converged, _ = jax.lax.while_loop(going_on, improve, carry)
-    return unknowns, converged
+    carry = (start, jnp.asarray(found), jnp.zeros((), jnp.int32), matrix)
+    unknowns, converged, _, matrix = jax.lax.while_loop(going_on, improve, carry)
+    return unknowns, converged, matrix
 
 
 def load_steps(
@@ -211,8 +231,10 @@ def load_steps(
     loaded: Any,
     solver: Solver | None = None,
     converged: bool | Bool[Array, ""] = False,
-) -> tuple[Float[Array, " n"], Bool[Array, ""]]:
-    """Unknowns of the equilibrium under full load, followed from the unloaded one, and whether it was reached.
+    with_jacobian: bool = False,
+) -> tuple[Float[Array, " n"], Bool[Array, ""], Float[Array, "n n"] | None]:
+    """Unknowns of the equilibrium under full load, followed from the unloaded one, whether it was reached, and the
+    Jacobian there if wanted, which the `solver` has to return.
 
     Errors, gravity and held angles grow together from zero by a share (`unloaded` and `loaded` are the args of
     the equations): all at once first; a step on which Newton's method does not converge, or changes the angles
@@ -220,17 +242,17 @@ def load_steps(
     as long. The constants of the mechanism are interpolated, so that on the way the rotations of its frames
     hold to second order in the errors only. `solver` is Newton's method unless given; nothing is done if `converged`.
     """
-    solver = functools.partial(newton, equations) if solver is None else solver
+    solver = functools.partial(newton, equations, with_jacobian=with_jacobian) if solver is None else solver
 
     def going_on(carry):
-        _, reached, step, count = carry
+        _, reached, step, count, _ = carry
         return (reached < 1.0) & (step > SMALLEST_LOAD_STEP) & (count < MAX_LOAD_STEPS)
 
     def advance(carry):
-        unknowns, reached, step, count = carry
+        unknowns, reached, step, count, matrix = carry
         share = jnp.minimum(reached + step, 1.0)
         args = jax.tree.map(lambda a, b: a + share * (b - a), unloaded, loaded)
-        new, converged = solver(unknowns, args, ITERATIONS_OF_A_STEP)
+        new, converged, of_step = solver(unknowns, args, ITERATIONS_OF_A_STEP)
         rotation = equations.coordinates(new - unknowns).elastic[3:]
         converged = converged & (jnp.max(jnp.abs(rotation), initial=0.0) < LARGEST_ROTATION_OF_A_STEP)
         return (
@@ -238,12 +260,14 @@ def load_steps(
             jnp.where(converged, share, reached),
             jnp.where(converged, 2.0 * step, 0.5 * step),
             count + 1,
+            None if matrix is None else jnp.where(converged, of_step, matrix),
         )
 
     one = jnp.ones(())
-    carry = (start, jnp.asarray(converged, float), one, jnp.zeros((), jnp.int32))
-    unknowns, reached, _, _ = jax.lax.while_loop(going_on, advance, carry)
-    return unknowns, reached >= 1.0
+    matrix = jnp.zeros((start.size, start.size)) if with_jacobian else None
+    carry = (start, jnp.asarray(converged, float), one, jnp.zeros((), jnp.int32), matrix)
+    unknowns, reached, _, _, matrix = jax.lax.while_loop(going_on, advance, carry)
+    return unknowns, reached >= 1.0, matrix
 
 
 def shortest_solution(matrix: Float[Array, "n n"], value: Float[Array, " n *k"]) -> Float[Array, " n *k"]:

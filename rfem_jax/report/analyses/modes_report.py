@@ -124,8 +124,8 @@ def _derivatives_text(result: ModesResult, c: int, case: str) -> str:
 
 
 def _remark(modes: NaturalModes, m: int) -> str:
-    if (modes.square[:, m] < 0.0).any():
-        return "unstable or a free motion"
+    if (lowest := float(modes.square[:, m].min())) < 0.0:
+        return f"unstable (a factor of e in {(-lowest) ** -0.5:.3g} s), or a free motion"
     return "repeated" if modes.repeated[:, m].any() else ""
 
 

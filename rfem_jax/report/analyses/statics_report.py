@@ -71,7 +71,7 @@ def write_statics(folder: Path, study: Study, found: LabelledStatics) -> list[Pa
         "metric_notes": notes_on(found.metrics),
         "units": {
             "force": "N", "moment": "N m", "stress": "Pa", "energy": "J", "deflection": "m", "place": "m",
-            "momentum_balance_error": "1", "linear_error": "1",
+            "momentum_balance_error": "1", "linear_error": "1", "growth_rate": "1/s",
             **{label: found.units(label)[1] for label in found.labels},
             **{name: unit or "1" for name, (_, unit) in found.values_of_metrics(0).items()},
         },
@@ -99,6 +99,7 @@ def _content(found: LabelledStatics, c: int) -> dict[str, Any]:
     return {
         "status": status_name(result.status),
         "statuses": [STATUS[int(code)].name for code in result.status],
+        "remarks": found.remarks_on(c),
         "position": lists(result.position),
         **({"rate": lists(result.rate), "acceleration": lists(result.acceleration)} if found.moves else {}),
         "holding": lists(result.holding),
@@ -114,4 +115,5 @@ def _content(found: LabelledStatics, c: int) -> dict[str, Any]:
         "metrics": {name: value for name, (value, _) in found.values_of_metrics(c).items()},
         "momentum_balance_error": float(result.checks.momentum_balance_error),
         "linear_error": float(result.checks.linear_error),
+        **({} if result.stability is None else {"growth_rate": np.asarray(result.stability.growth).tolist()}),
     }

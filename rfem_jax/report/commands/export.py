@@ -100,7 +100,7 @@ def _text(study: Study, arguments: argparse.Namespace, source: str) -> tuple[str
         from rfem_jax.exchange.exudyn_writer import exudyn_text
 
         announce("Assembling the mechanism")
-        return exudyn_text(study, arguments.case, source), ()
+        return exudyn_text(study, arguments.case, source)
     from rfem_jax.exchange.frame_table import table_text
     from rfem_jax.exchange.mjcf_writer import mjcf_text
     from rfem_jax.exchange.study_layout import layout_of

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from rfem_jax.description.basics.errors import InputError
+from rfem_jax.description.tolerances.error_catalogue import BOWS
 from rfem_jax.mechanics.model.status import STATUS
 from rfem_jax.report.files import path_columns, shaking_columns
 from rfem_jax.report.output import versions, without_nan
@@ -98,6 +99,8 @@ def _errors(run: Run) -> dict[str, float]:
     for l, link in enumerate(topology.links):
         found[f"{link}.length"] = float(errors.length[l])
         found[f"{link}.twist"] = float(errors.twist[l])
+        for name, value in zip(BOWS, () if errors.bow is None else np.asarray(errors.bow)[:, l]):
+            found[f"{link}.{name}"] = float(value)
     return {name: value for name, value in found.items() if value != 0.0}
 
 

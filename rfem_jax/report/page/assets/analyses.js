@@ -118,7 +118,7 @@ function modesPage(task) {
   const count = Math.max(...cases.map(([, one]) => one.modes.length));
   const rows = Array.from({ length: count }, (_, i) => i);
   const of = (c, i) => cases[c][1].modes[i] || {};
-  const remark = (i) => (of(0, i).stable === false ? "unstable or a free motion" : of(0, i).repeated ? "repeated" : "");
+  const remark = (i) => (of(0, i).stable === false ? "unstable, or a free motion" : of(0, i).repeated ? "repeated" : "");
   const columns = [
     { label: "mode", value: (i) => i + 1 },
     ...cases.map(([name], c) => ({ label: name, unit: "Hz", value: (i) => of(c, i).frequency })),

@@ -21,7 +21,9 @@ function staticsPage(task) {
   const parts = (load, unit) => [{ label: load, unit, loads: true, value: (row) => size(row.value[load]) },
     ...["x", "y", "z"].map((axis, k) => ({ label: `${load} ${axis}`, unit, loads: true, value: (row) => row.value[load][k] }))];
   const joints = staticsRows(cases, "joints", (load) => load.force.map((force, i) => ({ force, moment: load.moment[i] })));
-  const sections = [section(`Loads of the joints ${how}`, sortableTable("Forces and moments in the frames of the joints",
+  const remarks = cases.flatMap(([name, one]) => staticsRemarks(name, one));
+  const sections = [...(remarks.length ? [section("What to know", remarks.map((words) => make("p", { class: "hint failed" }, words)))] : []),
+    section(`Loads of the joints ${how}`, sortableTable("Forces and moments in the frames of the joints",
     [...first, ...parts("force", "N"), ...parts("moment", "N m")], joints, { id: "static-loads" }))];
   const onBase = cases.flatMap(([name, one]) => (one.shaking ? one.shaking.force.map((force, i) => ({ name, i, one, value: { force, moment: one.shaking.moment[i] } })) : []));
   if (onBase.length) {
@@ -45,6 +47,13 @@ function staticsPage(task) {
     sections.push(section("Stresses", sortableTable("Largest stresses of the links", columns, stresses, { id: "static-stresses" })));
   }
   return sections;
+}
+
+// Positions of a case whose numbers are not those of rest, and what is said of the case.
+function staticsRemarks(name, one) {
+  const failed = [...new Set(one.statuses)].filter((status) => status !== "ok");
+  const counts = failed.map((status) => `${one.statuses.filter((other) => other === status).length} of ${one.statuses.length} positions are ${status.replace(/_/g, " ")}, and their numbers not those of rest.`);
+  return [...counts, ...(Array.isArray(one.remarks) ? one.remarks : [])].map((words) => `Case ${name}: ${words}`);
 }
 
 // What holds the first coordinate that takes several positions, over these.
