@@ -104,11 +104,14 @@ def require_translated(model: Model) -> None:
     topology, friction = model.topology, model.friction or {}
     clear, acting = [topology.joints[j] for j in topology.clearances], _acting(model)
     bowed = [name.partition(".")[0] for name in topology.error_names if ".bow_" in name]
-    forms = dict.fromkeys([*(topology.links[l] for l in topology.curved), *bowed]) or topology.links
+    bodies = [topology.links[one.link] for one in topology.reduced]
+    curved = [topology.links[l] for l in topology.curved if topology.links[l] not in bodies]
+    forms = dict.fromkeys([*curved, *bowed]) or (topology.links if not bodies else ())
     told = {
         "links with an axis, errors of form or sections that couple bending, shear and torsion": (
             forms if topology.shaped else ()
         ),
+        "reduced bodies": bodies,
         "links that neither stretch nor shear": [topology.links[l] for l in topology.slender],
         "temperature gradients, which bend links without load": ["some on its links"]
         if model.curvature is not None

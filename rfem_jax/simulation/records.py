@@ -205,8 +205,8 @@ def finished_records(
             link = model.topology.links.index(divided(owner)[0])
             edge = section_edges(model, actual, link, saved[name].place[0])
             own = model.section.edges[link] if model.section.edges else None
-            known = own is not None and own.shape[0] != TENSOR_ROWS
-            modulus = model.section.stiffness[0, link] * own[0, 0] if known else None
+            plain = own is not None and own.shape[0] != TENSOR_ROWS
+            modulus = None if own is None or not plain else model.section.stiffness[0, link] * own[0, 0]
             records[name] = SectionHistory(saved[name].place[0], saved[name].resultants, edge, modulus)
         elif kind == "friction_loss":
             joint = model.topology.joints.index(owner)

@@ -328,10 +328,11 @@ def _closings(
 ) -> tuple[Array, Array, Array]:
     """Phi and its derivatives, as of `Evaluation`."""
     if cuts is None:
-        return (jnp.zeros((0,)),) * 3
+        none = jnp.zeros((0,))
+        return none, none, none
     second = cuts.bias + _closing_acceleration(topology, cuts, spatial, accelerations)
-    closing, second = (spring_residual(topology, cuts, multipliers, one) for one in (cuts.residual, second))
-    return closing, cuts.rate, second
+    closing = spring_residual(topology, cuts, multipliers, cuts.residual)
+    return closing, cuts.rate, spring_residual(topology, cuts, multipliers, second)
 
 
 def _closing_acceleration(

@@ -263,6 +263,7 @@ def _masses_of(link: Link) -> list[_Mass]:
         return masses
     if isinstance(link.body, ReducedBody):
         mass, centre, tensor = rigid_part(link.body)
+        centre = centre.tolist()
     else:
         mass, centre, tensor = link.body.mass, link.body.centre, link.body.tensor
     products = (tensor[0, 1], tensor[0, 2], tensor[1, 2])

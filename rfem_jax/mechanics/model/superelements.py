@@ -106,7 +106,8 @@ def superelement_of(body: ReducedBody, damping: Number) -> Superelement:
         2.0 * trace[None, None] * np.eye(3)[:, :, None] - symmetric,
     )
     stresses = None if body.stresses is None else jnp.asarray(body.stresses @ onto, jnp.float64)
-    return Superelement(*(jnp.asarray(one, jnp.float64) for one in arrays), stresses)
+    m, k, eta, c, h, g = (jnp.asarray(one, jnp.float64) for one in arrays)
+    return Superelement(m, k, eta, c, h, g, stresses)
 
 
 def _slowest(body: ReducedBody) -> float:

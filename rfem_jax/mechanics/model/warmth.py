@@ -15,6 +15,7 @@ from rfem_jax.description.mechanism.forces import Force
 from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.links import Link
 from rfem_jax.description.mechanism.point_forces import AtPoint, BetweenPoints
+from rfem_jax.description.mechanism.rigid_bodies import RigidBody
 from rfem_jax.description.mechanism.stations import Station
 from rfem_jax.description.parameters.parts import Parts, scaled
 
@@ -52,7 +53,7 @@ def _link(link: Link, growth: Number) -> Link:
     changed["point_masses"] = tuple(
         mass.with_fields(position=scaled(mass.position, growth)) for mass in link.point_masses
     )
-    if link.body is not None:
+    if isinstance(link.body, RigidBody):
         changed["body"] = link.body.with_fields(centre=scaled(link.body.centre, growth))
     elif link.material is not None:
         changed["material"] = link.material.with_fields(density=link.material.density / growth)
