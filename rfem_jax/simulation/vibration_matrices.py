@@ -165,14 +165,15 @@ def spring_matrices(constants: NodeConstants, topology: Topology) -> tuple[Any, 
     blocks = np.moveaxis(constants.stiffness, 2, 0)
     if not constants.bodies:
         return _block_diagonal(blocks), _block_diagonal(np.linalg.cholesky(blocks).swapaxes(1, 2))
-    by_link = []
+    by_link: list[tuple[list[int], np.ndarray]] = []
     for l, (a, b) in enumerate(topology.ranges):
         if l in constants.bodies:
             by_rfe = np.arange(6 * (b - a)).reshape(6, b - a).T.reshape(-1)
-            by_link.append(constants.bodies[l].stiffness[np.ix_(by_rfe, by_rfe)])
+            by_link.append(([*range(a, b)], constants.bodies[l].stiffness[np.ix_(by_rfe, by_rfe)]))
         else:
-            by_link += list(blocks[a:b])
-    return sparse.block_diag(by_link), sparse.block_diag([np.linalg.cholesky(one).T for one in by_link])
+            by_link += [([k], blocks[k]) for k in range(a, b)]
+    roots = [(rfes, np.linalg.cholesky(one).T) for rfes, one in by_link]
+    return _at_nodes(by_link, len(blocks)), _at_nodes(roots, len(blocks))
 
 
 def unit_rows(matrix: np.ndarray) -> np.ndarray:
