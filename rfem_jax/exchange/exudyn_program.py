@@ -261,6 +261,8 @@ def main(arguments=None):
                         help="points and joints whose places are recorded, too: %(choices)s")  # fmt: skip
     parser.add_argument("--csv", metavar="FILE", help="write places and loads at the ends of all steps")
     given = parser.parse_args(arguments)
+    if given.step is not None and not given.step > 0.0:
+        parser.error(f"argument --step must be greater than 0, but is {given.step:g}")
     warnings.filterwarnings("ignore", category=DeprecationWarning)  # of names that later versions have otherwise
     settings = Settings(given.radius, given.nodes, given.newton != "full", given.newton == "fresh", not given.dense,
                         given.tolerance, intrinsic=not given.tait_bryan)  # fmt: skip

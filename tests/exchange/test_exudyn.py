@@ -1,6 +1,7 @@
 """Scripts for Exudyn: what is in them, what is refused; and, where it is installed, their loads beside ours."""
 
 import json
+import os
 import re
 from dataclasses import replace
 from importlib.util import find_spec
@@ -184,6 +185,20 @@ def test_a_tapered_link_is_what_its_stations_say():
     bending = [np.array([one["stiffness"][5] for one in content["elements"]]) for content in (plain, other)]
     weaker, same = sorted(bending[1] / bending[0])
     assert weaker < 0.8 and same == pytest.approx(1.0)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="other systems have no such names")
+@pytest.mark.parametrize("name", ["a \"\"\" \\x '''.toml", "two\nlines.toml", "bad\udcff.toml"])
+def test_names_of_files_are_no_code(name, tmp_path):
+    """And files can be written that name them."""
+    path = tmp_path / name
+    assert main(["init", str(tmp_path / "mine.toml")]) == 0
+    os.replace(tmp_path / "mine.toml", path)
+    table, script = tmp_path / "made.csv", tmp_path / "made.py"
+    assert main(["export", str(path), "--to", "frames", "-o", str(table)]) == 0
+    assert main(["import", str(table), "-o", str(tmp_path / "back.toml")]) == 0
+    assert main(["export", str(path), "--to", "exudyn", "-o", str(script)]) == 0
+    compile(script.read_text(encoding="utf-8"), "made.py", "exec")
 
 
 def test_only_scripts_are_verified(tmp_path, capsys):

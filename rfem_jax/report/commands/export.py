@@ -50,7 +50,9 @@ def act(arguments: argparse.Namespace) -> Answer:
     _require_used(arguments)
     study = read_study(arguments.study)
     path = Path(arguments.target or Path(arguments.study).stem + ENDINGS[arguments.to])
-    source = f"{Path(arguments.study).name}, {'perfect' if arguments.case is None else f'case {arguments.case}'}"
+    # Names of files may have line ends, and characters that no encoding has.
+    named = "".join(letter if letter.isprintable() else "?" for letter in Path(arguments.study).name)
+    source = f"{named}, {'perfect' if arguments.case is None else f'case {arguments.case}'}"
     text, left = _text(study, arguments, source)
     write_new(path, text, "--out")
     show(f"{path} written: {source}.")
