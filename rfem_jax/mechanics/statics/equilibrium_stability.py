@@ -6,7 +6,7 @@ The Jacobian of the static equations, which the search has at its end, contains 
 move with the mechanism, and that of the multipliers of the closure equations (theory (6.12)). Coordinates are scaled by
 the square root of their own stiffness and that of the loads; in these units the smallest eigenvalue among the motions
 that the closure equations leave tells an unstable equilibrium from a motion without stiffness, of which rounding alone
-is left (theory (6.13)).
+is left (theory (6.13), (6.14)).
 """
 
 from collections.abc import Iterable
