@@ -73,7 +73,7 @@ def solve(m, length, stiffness, forces, elements="geometrically_exact"):
     return tip, elastic[:, 3:, -1], results
 
 
-def pair(length, stiffness, forces, codes=OK):
+def pair(length, stiffness, forces, codes: int | list[int] = OK):
     """Tip displacements and angles (2, loads, 6) of both discretisations, whose equilibria have the status `codes`."""
     values = []
     for m in SEGMENTS:
