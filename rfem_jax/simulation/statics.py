@@ -309,9 +309,9 @@ def _at_pose(model: Model, actual: ModelWithErrors, pose: ClosedPose, asked: Seq
 
 def at_rest(
     model: Model, actual: ModelWithErrors, held: dict[int, Float[Array, ""]]
-) -> tuple[Coordinates, State, Int[Array, ""], Still, Stability]:
-    """Position, state and status of the static equilibrium, what loads follow from, and how fast it is left; `held`: as
-    of `settled`."""
+) -> tuple[Coordinates, State, Int[Array, ""], Still, Stability | None]:
+    """Position, state and status of the static equilibrium, what loads follow from, and how fast it is left, None where
+    that is not tested; `held`: as of `settled`."""
     topology = model.topology
     found = settled(model, actual, held)
     state = loads.static_state(topology, found.position)

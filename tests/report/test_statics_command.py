@@ -163,3 +163,56 @@ def test_loads_in_a_given_motion(tmp_path, capsys):
     assert main(arguments) == 0
     assert main(["statics", str(file), "--out", str(tmp_path), "--rates", "60 rpm"]) == 2
     assert "`--rates` must name a joint and its rates" in capsys.readouterr().err
+
+
+COLUMN = """
+[mechanism]
+gravity = [0.0, 0.0, 0.0]
+elements = "geometrically_exact"
+
+[mechanism.materials.steel]
+youngs_modulus = "210 GPa"
+poisson_ratio = 0.3
+density = 7850.0
+
+[mechanism.sections.bar]
+shape = "rectangle"
+width = "10 mm"
+height = "10 mm"
+
+[[mechanism.links]]
+name = "bar"
+length = "1 m"
+section = "bar"
+material = "steel"
+rfes = 4
+
+[[mechanism.joints]]
+name = "A"
+kind = "fixed"
+parent = "base"
+child = "bar"
+
+[[mechanism.forces]]
+name = "load"
+kind = "point_force"
+link = "bar"
+position = 1.0
+force = [-3000.0, 0.0, 0.0]
+
+[statics]
+"""
+
+
+def test_a_column_beyond_its_buckling_load_is_told(tmp_path, capsys):
+    """432 N is Euler's load of it: status, exit code, how it is left, in words, file and page."""
+    file, out = tmp_path / "study.toml", tmp_path / "out"
+    file.write_text(COLUMN, encoding="utf-8")
+    assert main(["statics", str(file), "--out", str(out)]) == 3
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "1 of 1 positions of case nominal have no stable equilibrium" in printed
+    case = json.loads((out / "statics.json").read_text(encoding="utf-8"))["cases"]["nominal"]
+    assert case["status"] == "unstable" and case["growth_rate"][0] > 100.0
+    assert case["remarks"][0].endswith("mostly in link bar.") and case["remarks"][0] in printed
+    (task,) = content_of(out / "report.html")["tasks"]
+    assert "remarks" in str(task)

@@ -197,17 +197,16 @@ def test_flutter_is_not_seen():
     [
         mechanisms.compliant_four_bar,
         mechanisms.slender_four_bar,
-        mechanisms.loop_with_a_ball,
-        mechanisms.chain_with_couplings,
-        mechanisms.loop_with_an_ideal_coupling,
         lambda: mechanisms.loop_cut_by_sprung("cylindrical"),
+        lambda: dataclasses.replace(mechanisms.loop_with_a_ball(), elements="geometrically_exact"),
         lambda: dataclasses.replace(mechanisms.four_bar(2), elements="geometrically_exact"),
     ],
 )
 def test_the_stiffness_is_that_of_the_equations_of_motion(make):
-    """Of the residual of an implicit step, which is another formulation, at the same equilibrium."""
+    """Of the residual of an implicit step, which is another formulation, at the same equilibrium, among the motions
+    that the closure equations leave: across them stiffnesses depend on how these are written."""
     model = discretise(make())
-    topology, held = model.topology, held_angles(model, {})
+    topology, held = model.topology, held_angles(model, "as_given")
     actual = apply_errors(model, assembly_errors(model))
 
     @evaluated
@@ -216,13 +215,16 @@ def test_the_stiffness_is_that_of_the_equations_of_motion(make):
         return found, linearised(actual, found.position, found.multipliers, length_scale(model))
 
     found, expected = both()
+    assert int(found.status) == OK
     slender = topology.n_freedoms + np.arange(3)[:, None] * topology.n_rfes + np.flatnonzero(topology.slender_rfes)
-    free = free_coordinates(topology, np.array([*topology.idle, *slender.reshape(-1)], int))
+    free = free_coordinates(topology, np.array([*topology.idle, *held, *slender.reshape(-1)], int))
     tangent, expected = found.tangent, expected.stiffness[np.ix_(free, free)]
     stiffness = tangent.stiffness * tangent.force * tangent.length / np.outer(tangent.units, tangent.units)
-    size = np.sqrt(np.abs(np.diagonal(expected)) + 1e-3 * np.abs(expected).max())
-    scaled, other = (one / np.outer(size, size) for one in (stiffness, expected))
-    np.testing.assert_allclose(scaled, other, rtol=0, atol=1e-9)
+    size = np.sqrt(np.abs(np.diagonal(expected)) + 1e-9 * np.abs(expected).max())
+    _, values, rows = np.linalg.svd(tangent.constraints / tangent.units / size)
+    across = rows[len(values) :] / size
+    scaled, other = (across @ one @ across.T for one in (stiffness, expected))
+    np.testing.assert_allclose(scaled, other, rtol=0, atol=1e-8)
 
 
 def test_directions_that_constraints_leave():

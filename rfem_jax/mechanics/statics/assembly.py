@@ -401,12 +401,17 @@ def settled(model: Model, actual: ModelWithErrors, held: dict[int, Float[Array, 
     unknowns = implicit_function(equations_of, tangent_solve, end, (scaled, args))
     position = with_displacements(actual, scaled.coordinates(unknowns))
     found = found & jnp.all(jnp.isfinite(unknowns))
-    scales, rates = (scaled.units, scaled.length, scaled.force), scaled.rates(end) if topology.balls else None
-    tangent = None
-    if jacobian is not None:
-        tangent = jax.lax.stop_gradient(tangent_of(topology, jacobian, _free(topology, held), rates, scales))
     status = _status_of(actual, position, found, scaled.length)
-    return Settled(position, scaled.multipliers(unknowns), status, tangent)
+    return Settled(position, scaled.multipliers(unknowns), status, _tangent(scaled, jacobian, held, end))
+
+
+def _tangent(scaled: _Scaled, jacobian: Array | None, held: Iterable[int], end: Array) -> Tangent | None:
+    """The tangent at the end of a search, None without a Jacobian."""
+    if jacobian is None:
+        return None
+    rates = scaled.rates(end) if scaled.topology.balls else None
+    scales, free = (scaled.units, scaled.length, scaled.force), _free(scaled.topology, held)
+    return jax.lax.stop_gradient(tangent_of(scaled.topology, jacobian, free, rates, scales))
 
 
 @kernel

@@ -101,7 +101,7 @@ class _Search(NamedTuple):
             step = _Condensed(-solved[:, 0], -solved[:, 1:], poses).solve(args[0], at, self.units)
             return value, -step, _rows(jacobian, unknowns, n), None
 
-        return iterate(n, start, iterations, present)
+        return *iterate(n, start, iterations, present)[:2], None
 
     def chord(self, start: Array, undeformed: Array, perfect: Any, args: Any) -> tuple[Array, Array]:
         """Unknowns after the chord method with the matrix of the perfect mechanism, and whether it converged."""

@@ -6,10 +6,10 @@ The Jacobian of the static equations, which the search has at its end, contains 
 move with the mechanism, and that of the multipliers of the closure equations (theory (6.12)). Coordinates are scaled by
 the square root of their own stiffness and that of the loads; in these units the smallest eigenvalue among the motions
 that the closure equations leave tells an unstable equilibrium from a motion without stiffness, of which rounding alone
-is left (theory (6.13)).
+is left (theory (6.13), (6.14)).
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import jax
@@ -57,8 +57,8 @@ class Stability(NamedTuple):
     """
 
     growth: Float[Numbers, "*positions"]
-    joints: dict[str, Float[Numbers, "*positions"]]
-    links: dict[str, Float[Numbers, "*positions"]]
+    joints: Mapping[str, Float[Numbers, "*positions"]]
+    links: Mapping[str, Float[Numbers, "*positions"]]
 
     @property
     def place(self) -> str:
@@ -93,7 +93,7 @@ def tangent_of(
     units, length, force = scales
     n, c = units.size, topology.n_constraints
     # Loads along joints stand on the one side of the equations, generalised forces of rfes on the other.
-    sign = np.where(np.arange(n) < topology.n_freedoms, 1.0, -1.0)[:, None]
+    sign = jnp.asarray(np.where(np.arange(n) < topology.n_freedoms, 1.0, -1.0))[:, None]
     rows = sign * jacobian[:n]
     if rates is not None:
         rows = rates.T @ rows

@@ -260,7 +260,7 @@ def load_steps(
             jnp.where(converged, share, reached),
             jnp.where(converged, 2.0 * step, 0.5 * step),
             count + 1,
-            None if matrix is None else jnp.where(converged, of_step, matrix),
+            None if matrix is None or of_step is None else jnp.where(converged, of_step, matrix),
         )
 
     one = jnp.ones(())
