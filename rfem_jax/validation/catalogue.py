@@ -13,6 +13,7 @@ from rfem_jax.validation import (
     bennett_loop,
     cantilevers,
     clearances,
+    curved_beams,
     flexible_slider_crank,
     force_tables,
     four_bar_study,
@@ -33,6 +34,7 @@ from rfem_jax.validation.lines import Benchmark, Outcome, Progress
 BENCHMARKS = (
     Benchmark("cantilever", "cantilever, statics and frequencies", cantilevers.validate),
     Benchmark("beam_tables", "beams of a handbook's table", beam_tables.validate),
+    Benchmark("curved_beams", "quarter ring, statics; ring, frequencies", curved_beams.validate),
     Benchmark("elastica", "elastica", large_deflections.elastica),
     Benchmark("princeton_beam", "Princeton beam", large_deflections.princeton_beam),
     Benchmark("thick_cantilever", "thick cantilever", large_deflections.thick_cantilever),

@@ -7,6 +7,7 @@ from rfem_jax import assemble, assembly_errors, discretise
 from rfem_jax.validation import (
     beam_tables,
     cantilevers,
+    curved_beams,
     four_bar_study,
     large_deflections,
     rotating_beams,
@@ -64,6 +65,11 @@ def test_linear_elements_do_not_meet_the_elastica():
     assert bent.tip[2] > 1.09 * reference["deflection"][0]
     # It hardly shortens: only by the rotation of the last rfe.
     assert -bent.tip[0] < 0.05 * reference["shortening"][0]
+
+
+@pytest.mark.long
+def test_curved_beams():
+    assert_all_pass(computed(curved_beams.validate), 12)
 
 
 @pytest.mark.slow
