@@ -117,7 +117,7 @@ def _superelement_mass(element: Superelement, own: np.ndarray, places: np.ndarra
     return mass
 
 
-def _at_nodes(blocks: list[tuple[list[int], np.ndarray]], n: int) -> sparse.csr_matrix:
+def _at_nodes(blocks: list[tuple[list[int], Any]], n: int) -> sparse.csr_matrix:
     """Blocks in the rows and columns of their nodes, of n."""
     rows, columns, entries = [], [], []
     for nodes, block in blocks:
@@ -165,7 +165,7 @@ def spring_matrices(constants: NodeConstants, topology: Topology) -> tuple[Any, 
     blocks = np.moveaxis(constants.stiffness, 2, 0)
     if not constants.bodies:
         return _block_diagonal(blocks), _block_diagonal(np.linalg.cholesky(blocks).swapaxes(1, 2))
-    by_link: list[tuple[list[int], np.ndarray]] = []
+    by_link: list[tuple[list[int], Any]] = []
     for l, (a, b) in enumerate(topology.ranges):
         if l in constants.bodies:
             by_rfe = np.arange(6 * (b - a)).reshape(6, b - a).T.reshape(-1)
