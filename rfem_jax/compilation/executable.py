@@ -3,11 +3,10 @@
 Place in the pipeline: kernels, stages -> **executable** -> program, which makes and runs it; `cache` keeps the bytes.
 """
 
-import gc
 import pickle
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -98,26 +97,13 @@ def compiled(function: Callable, arrays: Sequence[ArrayLike], returned: list, ke
     what = function.__name__.strip("_").replace("_", " ")
     once = ", once for all models of its kind" if kept else ""
     on_stage(f"Compiling the program {what!r}{once}")
-    with _no_search_for_garbage(), registry.noting() as handlers:
+    with registry.noting() as handlers:
         traced = jax.jit(function).trace(*arrays)
         if len(traced.jaxpr.in_avals) > len(arrays):
             raise WithinTransformation
         lowered = traced.lower()
     with _without_jaxs_cache if kept else nullcontext():
         return Executable(lowered.compile(), len(arrays), returned[0], sorted(handlers))
-
-
-@contextmanager
-def _no_search_for_garbage() -> Iterator[None]:
-    """Tracing makes a million objects, hardly any of them garbage: Python would look through all of them several times,
-    a tenth of the time that a first answer takes."""
-    on = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if on:
-            gc.enable()
 
 
 def unpack(content: bytes) -> Packed:

@@ -2,7 +2,6 @@
 kernel in it or without; what depends on something outside of the key is not kept; within a transformation of JAX a
 program is the function itself."""
 
-import gc
 import os
 import subprocess
 import sys
@@ -266,28 +265,6 @@ def test_static_results_come_back_from_a_transformation(kept, transform):
     expected = transform(lambda x: swing(oscillator(), jnp.broadcast_to(x, 3)).path)(X)
     np.testing.assert_allclose(transform(steps)(X), expected, rtol=1e-11, atol=1e-13)
     assert set(seen) == {3} and counts(kept) == (0, 0, 0)
-
-
-def test_no_garbage_is_looked_for_while_a_program_is_traced(kept):
-    """Before and after, whether it is, is for the process to say, also where tracing fails."""
-    seen = []
-
-    def noted(x, wrong=False):
-        seen.append(gc.isenabled())
-        return x + jnp.ones(7 if wrong else 3)
-
-    for enabled in (gc.enable, gc.disable):
-        try:
-            enabled()
-            before = gc.isenabled()
-            Program(noted)(X)
-            assert gc.isenabled() == before
-            with pytest.raises(TypeError):
-                Program(noted)(X, wrong=True)
-            assert gc.isenabled() == before
-        finally:
-            gc.enable()
-    assert len(seen) >= 4 and not any(seen)
 
 
 def test_where_programs_are_not_kept_they_are_made_in_the_same_way(tmp_path, monkeypatch):
