@@ -151,6 +151,7 @@ def synthetic_run(size, status=0):
         closure_drift=2e-12,
         closure_drift_angle=3e-12,
         momentum_balance_error=4e-12,
+        start_stability=None,
         stabilisation_share=5e-6,
         solution_residual=6e-7,
         linear_error=1e-4,
