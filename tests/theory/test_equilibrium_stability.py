@@ -195,7 +195,9 @@ def test_flutter_is_not_seen():
 @pytest.mark.parametrize(
     "make",
     [
-        mechanisms.compliant_four_bar,
+        # Without weight: a moment that holds a joint with sprung tilts is an outer one in statics, about axes that do
+        # not tilt, and makes the stiffness unsymmetric.
+        lambda: dataclasses.replace(mechanisms.compliant_four_bar(), gravity=(0, 0, 0)),
         mechanisms.slender_four_bar,
         lambda: mechanisms.loop_cut_by_sprung("cylindrical"),
         lambda: dataclasses.replace(mechanisms.loop_with_a_ball(), elements="geometrically_exact"),

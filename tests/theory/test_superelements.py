@@ -50,6 +50,7 @@ from tests.frames_of_beams import (
     reduced,
     straight,
 )
+from tests.mechanisms import link as steel_bar
 
 NOTHING = (0.0, 0.0, 0.0)
 ERRORS = {"D.d_y": 1e-3, "D.delta_x": np.radians(0.5)}
@@ -123,9 +124,9 @@ def test_a_bar_moves_as_a_beam(linkage, of_rfes):
         return simulate(
             Simulation(
                 model,
-                drive=MomentRamp("A", 8.0, 0.01),
+                drive=MomentRamp("A", 24.0, 0.02),
                 method=GeneralisedAlpha(step=5e-5),
-                duration=0.04,
+                duration=0.03,
                 save_every=2e-3,
             ),
             ERRORS,
@@ -316,7 +317,7 @@ def test_exact_elements_and_point_masses_beside_it():
     def mixed(elements):
         def link(name, length):
             if name == "coupler":
-                return Link(name, length, BEAM, rfes=5)
+                return steel_bar(name, length, 5)
             one = bar(name, length)
             return replace(one, point_masses=(PointMass(0.1, (length, 0.0, 0.0), (1e-5, 1e-5, 1e-5)),))
 
