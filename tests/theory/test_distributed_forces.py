@@ -54,7 +54,7 @@ def tip(model, position):
 def diagrams(model):
     """Places and internal loads of the only link at rest."""
     actual = apply_errors(model, assembly_errors(model))
-    _, state, _, still = at_rest(model, actual, {})
+    _, state, _, still, _ = at_rest(model, actual, {})
     return loads_of_sections(model, actual, state, still, 0)
 
 
