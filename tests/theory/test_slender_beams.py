@@ -214,7 +214,9 @@ def blades(four_bar):
 def test_four_bar_of_blades_assembles(blades, elements):
     """EA L^2/EI of the rocker: 1.2e6 and 1.2e8.  Its preload has its derivative."""
     value, derivative, status, _ = blades[elements]
-    assert (status[:7] == 0).all()
+    assert (status[:4] == 0).all()
+    # Blades of 0.1 mm are twisted out of the plane under their loads: exact elements are tested for that.
+    assert np.isin(status[4:7], (0, 15) if elements == "geometrically_exact" else 0).all()
     assert abs(value[0]) < 1e-9 * abs(value[1])  # a planar mechanism
     for one, above, below in ((1, 2, 3), (4, 5, 6)):
         difference = (value[above] - value[below]) / (2.0 * STEP)
