@@ -393,3 +393,9 @@ def test_what_is_off_the_interfaces_is_refused(linkage):
         Problem(simulation, ["rocker@0.5.peak_deflection"])
     with pytest.raises(InputError, match="does not|do not"):
         Link("part", body=bar("part", 0.3).body, temperature=20.0)
+
+
+def test_a_stiffness_of_the_wrong_sign_is_refused():
+    body, _ = reduced(straight(0.3), (0, 24), 2)
+    with pytest.raises(InputError, match="`stiffness` .* diagonal greater than 0"):
+        ReducedBody(body.interfaces, body.mass, -np.asarray(body.stiffness))

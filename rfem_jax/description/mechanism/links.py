@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rfem_jax.description.basics.errors import (
+    ABSENT,
     Checks,
     ChecksItself,
     InputError,
@@ -173,7 +174,7 @@ class Link(NumberTree, ChecksItself):
             checks.relation(("axis", "smooth"), self._take_axis, of)
         elif self.reduced:
             checks.relation((), self._take_length_along, "body", of)
-        else:
+        elif self.body is not ABSENT or self.length is not None:  # what a body that cannot be read would say of it
             checks.convert("length", _length, of)
         if self.body is None:
             give = "give a rigid link one too, for its mass, or a `body`."

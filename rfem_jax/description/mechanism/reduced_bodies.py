@@ -133,6 +133,11 @@ class ReducedBody(ChecksItself):
                 f"{short(np.diag(inertia)[:3].tolist())} kg along x, y and z; check the order of its rows and units."
             )
         for name, matrix, least in (("mass", mass, 0), ("stiffness", stiffness, 6)):
+            if not (np.diag(matrix) > 0.0).all():
+                raise InputError(
+                    f"Argument `{name}` of a reduced body must have a diagonal greater than 0, but has "
+                    f"{np.diag(matrix).min():.3g} on it; check its sign, and leave out rows without any."
+                )
             scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
             values = np.linalg.eigvalsh(matrix / scale[:, None] / scale[None])
             if values[0] < -_SYMMETRY or (least and values[least] <= _LEAST):
