@@ -63,7 +63,9 @@ def test_recursion_alone_finds_the_equilibrium_and_its_derivatives(make, monkeyp
         assert status == OK
     with monkeypatch.context() as patch:
         patch.setattr(
-            assembly, "chord", lambda equations, preconditioner, rows, *place: search.newton(equations, *place)
+            assembly,
+            "chord",
+            lambda equations, preconditioner, rows, *place, **options: search.newton(equations, *place, **options),
         )
         patch.setattr(
             assembly,
