@@ -1,9 +1,10 @@
-"""Reduced bodies in files: archives of NumPy, a pair of matrices in the format of Matrix Market, bulk data.
+"""Reduced bodies in files: archives of NumPy, a pair of matrices in the format of Matrix Market, files of Nastran.
 
-Place in the pipeline: reduced_bodies, bulk_data, file_units -> **body_files** -> study_reader, the user.
+Place in the pipeline: reduced_bodies, bulk_data, nastran_output, file_units -> **body_files** -> study_reader.
 """
 
 import io
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, replace
@@ -17,6 +18,13 @@ from rfem_jax.description.basics.errors import InputError, located, suggestion
 from rfem_jax.description.basics.units import Quantities, Quantity, short, vector
 from rfem_jax.description.bodies.bulk_data import ENDINGS, MOST_ROWS, read_bulk_data
 from rfem_jax.description.bodies.file_units import SI_UNITS, in_si, read_units
+from rfem_jax.description.bodies.nastran_output import (
+    OUTPUT_ENDINGS,
+    read_output,
+    read_rows,
+    reduced_matrices,
+    require_reader,
+)
 from rfem_jax.description.mechanism.reduced_bodies import ReducedBody
 from rfem_jax.whole_files import write_whole
 
@@ -49,39 +57,49 @@ def save_body(body: ReducedBody, path: str | Path) -> Path:
     return path
 
 
-def load_body(path: str | Path, damping: Quantity | None = None, units: Sequence[str] = SI_UNITS) -> ReducedBody:
+def load_body(
+    path: str | Path,
+    damping: Quantity | None = None,
+    units: Sequence[str] = SI_UNITS,
+    grids: str | Path | None = None,
+) -> ReducedBody:
     """Read a reduced body from a file.
 
     Args:
-        path: an archive of NumPy (.npz) with the arguments of ReducedBody by their names, or bulk data (.bdf, .dat,
+        path: an archive of NumPy (.npz) with the arguments of ReducedBody by their names; bulk data (.bdf, .dat,
             .nas, .pch, .asm) with GRID entries of the interfaces and DMIG entries KAAX and MAAX, whose other points
-            are modes; interfaces are in the ascending order of their grids.
+            are modes; or a binary file of Nastran (.op2, .op4) with these matrices, or KXX and MXX. Interfaces are in
+            the ascending order of their grids.
         damping: eta [s] >= 0, in the place of that in the file: the damping matrix is eta times the stiffness.
         units: those of length, mass and time in the file, as ["mm", "t", "s"].
+        grids: the assembly file (.asm) with the grids and modes of a binary file; left out, that of its name.
     Raises:
         InputError: the file is missing, damaged, or holds something else.
     """
     path, scales = Path(path), read_units(units)
     ending = path.suffix.lower()
+    if grids is not None and ending not in OUTPUT_ENDINGS:
+        raise InputError(
+            f"Argument `grids` of a reduced body must be left out beside `{path}`, which has its interfaces itself, "
+            f"but was `{grids}`; remove it."
+        )
     if ending == ".npz":
         content = _read_archive(path)
     elif ending in ENDINGS:
         content = read_bulk_data(path)
-        dampers = content.pop("dampers")
-        if dampers and damping is None:
-            raise InputError(
-                f"Reduced body `{path}` must have no damping matrix, but has {', '.join(dampers)}, which is not read; "
-                "give `damping`, by which the damping matrix is in proportion to the stiffness, or 0."
-            )
-    elif ending == ".op2":
-        raise InputError(
-            f"Reduced body `{path}` must be in a file that ends in .npz, .bdf or .pch, but is a binary file of "
-            "Nastran; write its matrices as DMIG entries, with EXTSEOUT(STIFFNESS, MASS, DMIGPCH)."
-        )
+    elif ending in OUTPUT_ENDINGS:
+        content = _read_output(path, path.with_suffix(".asm") if grids is None else Path(grids))
     else:
         raise InputError(
-            f"Reduced body `{path}` must be in a file that ends in .npz, .bdf or .pch, but ends in `{ending}`; give "
-            "matrices in the format of Matrix Market (.mtx) as `mass` and `stiffness` beside `interfaces`."
+            f"Reduced body `{path}` must be in a file that ends in .npz, .bdf, .pch, .op2 or .op4, but ends in "
+            f"`{ending}`; give matrices in the format of Matrix Market (.mtx) as `mass` and `stiffness` beside "
+            "`interfaces`."
+        )
+    dampers = content.pop("dampers", ())
+    if dampers and damping is None:
+        raise InputError(
+            f"Reduced body `{path}` must have no damping matrix, but has {', '.join(dampers)}, which is not read; "
+            "give `damping`, by which the damping matrix is in proportion to the stiffness, or 0."
         )
     return _body(path, content, damping, scales)
 
@@ -122,6 +140,15 @@ def _body(path: Path, content: dict[str, Any], damping: Any, scales: tuple[float
         if scales != (1.0, 1.0, 1.0):
             found = ReducedBody(**in_si({name: getattr(found, name) for name in KEYS}, scales))
         return found if damping is None else replace(found, damping=damping)
+
+
+def _read_output(path: Path, grids: Path) -> dict[str, Any]:
+    require_reader(path)
+    with _readable(path, "a file of OUTPUT2 or OUTPUT4"), warnings.catch_warnings(action="error"):
+        matrices = read_output(path)  # which warns of files that are cut short
+    with _readable(grids, "the assembly file (.asm) of EXTSEOUT(ASMBULK) beside the matrices"):
+        rows = read_rows(grids)
+    return reduced_matrices(path, matrices, rows)
 
 
 def _read_archive(path: Path) -> dict[str, Any]:
@@ -182,8 +209,10 @@ def _readable(path: Path, what: str) -> Iterator[None]:
     """InputError for whatever is wrong with a file."""
     try:
         yield
+    except InputError:
+        raise
     except FileNotFoundError:
         raise InputError(f"Reduced body `{path}` must be a file, but there is none; correct the path.") from None
-    except Exception as error:  # NumPy, SciPy, zipfile and zlib raise ten kinds and more, by the byte that is wrong
+    except Exception as error:  # NumPy, pyYeti, zipfile and zlib raise ten kinds and more, by the byte that is wrong
         reason = (getattr(error, "strerror", None) or str(error) or type(error).__name__).splitlines()[0]
         raise InputError(f"Reduced body `{path}` must be {what}, but is not ({reason}); write it again.") from None

@@ -95,7 +95,7 @@ DRIVES = {
 _MECHANISM_OPTIONS = ("gravity", "redundant_reactions", "reaction_length", "elements", "shaking_point", "plane")
 _MECHANISM_TABLES = ("materials", "sections", "springs", "forces", "couplings", "points", "base")
 MECHANISM_KEYS = (("links", "joints"), (*_MECHANISM_TABLES, *_MECHANISM_OPTIONS))
-BODY_FILE_KEYS = (("file",), ("damping", "units"))
+BODY_FILE_KEYS = (("file",), ("damping", "units", "grids"))
 SIMULATION_KEYS = (("duration",), ("method", "save_every", "start"))  # and the settings of the method
 
 
@@ -282,8 +282,8 @@ def _read_body(table: object, place: str, folder: Path) -> RigidBody | ReducedBo
     whole = f"{place} of {'a file' if of_one else 'two files'}"
     settings = checked_table(table, whole, *(BODY_FILE_KEYS if of_one else keys_of(read_matrices)), problems)
     with problems.noted(), located(place):
-        for key in ("file",) if of_one else ("mass", "stiffness"):
-            if settings[key] is not ABSENT:
+        for key in ("file", "grids") if of_one else ("mass", "stiffness"):
+            if settings.get(key, ABSENT) is not ABSENT:
                 settings[key] = folder / _file_name(settings[key], key)
     if ABSENT in settings.values():
         problems.failed = True
