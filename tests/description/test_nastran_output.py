@@ -83,12 +83,12 @@ def matrix_block(name, matrix):
     return block(name, (101, rows, rows, 6, 2, rows, 0), 1, body + keys(0))
 
 
-def table_block(name, matrix):
+def table_block(name, matrix, labels=LABELS):
     """A symmetric matrix of entries with their points, as DMIG has them."""
     words = struct.pack("<3i8s7i", 114, 1, 120, name.ljust(8).encode(), 0, 6, 2, 0, 0, 0, 0)
-    for j, (grid, component) in enumerate(LABELS):
+    for j, (grid, component) in enumerate(labels):
         words += struct.pack("<2i", grid, component)
-        words += b"".join(struct.pack("<2id", *LABELS[i], matrix[i, j]) for i in range(j, len(LABELS)))
+        words += b"".join(struct.pack("<2id", *labels[i], matrix[i, j]) for i in range(j, len(labels)))
         words += struct.pack("<2i", -1, -1)
     words += struct.pack("<2i", -1, -1)
     body = keys(len(words) // 4) + records(words) + keys(-4, 1, 0, 0)
@@ -177,6 +177,25 @@ def test_what_is_wrong_is_said(refused, folder, name, content, said):
         path.write_bytes(content)
     with refused(*said):
         load_body(path)
+
+
+def test_files_that_are_cut_short_are_refused(refused, folder, wanted):
+    path = folder / "arm.op4"
+    op4.write(path, {"KXX": as_written(wanted[2]), "MXX": as_written(wanted[1])})
+    whole = path.read_bytes()
+    for missing in (4, 12, 40, 800):
+        path.write_bytes(whole[:-missing])
+        with refused("OUTPUT4"):
+            load_body(path)
+
+
+def test_points_without_entries_have_no_mass(refused, folder, wanted):
+    bare = np.array(as_written(wanted[1]))
+    bare[13] = bare[:, 13] = 0.0
+    blocks = [table_block("KAAX", as_written(wanted[2])), table_block("MAAX", bare, LABELS[:13])]
+    (folder / "arm.op2").write_bytes(b"".join(blocks) + keys(0))
+    with refused("`mass`", "leave out rows without any"):
+        load_body(folder / "arm.op2")
 
 
 @pytest.mark.parametrize(
