@@ -22,7 +22,7 @@ from jaxtyping import Array, Bool, Float
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.methods import DEFAULT_ACCURACY, Automatic, GeneralisedAlpha, Method, RungeKutta4
-from rfem_jax.mechanics.dynamics.loads import has_tables_over_position
+from rfem_jax.mechanics.dynamics.energy_and_momentum import has_tables_over_position
 from rfem_jax.mechanics.forces.friction import require_implicit
 from rfem_jax.mechanics.model.errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.model.model import Model

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 from rfem_jax.description.basics.calls import with_known_arguments
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.kernels import kernel
-from rfem_jax.mechanics.dynamics import loads
+from rfem_jax.mechanics.dynamics import energy_and_momentum
 from rfem_jax.mechanics.model.errors import Errors, errors_of
 from rfem_jax.mechanics.model.inputs import Stabilisation
 from rfem_jax.mechanics.model.model import Model, State
@@ -58,7 +58,7 @@ class EquationsOfMotion(eqx.Module):
 
     def energy(self, state: Trajectory) -> Float[Array, ""]:
         """Kinetic, elastic and gravity energy [J]; less `integrals.work` and plus `integrals.dissipation` it stays."""
-        return sum(loads.energies(self.actual, State(state.position, state.velocity)), jnp.zeros(()))
+        return sum(energy_and_momentum.energies(self.actual, State(state.position, state.velocity)), jnp.zeros(()))
 
     def _conditions(self, t: ArrayLike) -> Conditions:
         passed = jnp.sum(jnp.asarray(t) >= jnp.asarray(self.jumps, jnp.float64)).astype(jnp.int32)

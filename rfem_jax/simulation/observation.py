@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from rfem_jax.mechanics.algebra import vectors
-from rfem_jax.mechanics.dynamics import loads
+from rfem_jax.mechanics.dynamics import energy_and_momentum, loads
 from rfem_jax.mechanics.dynamics.centre_lines import link_ends
 from rfem_jax.mechanics.dynamics.dynamics import Accelerations
 from rfem_jax.mechanics.dynamics.point_paths import PointMotion, point_motions
@@ -175,7 +175,9 @@ def observe(
     with jax.named_scope("observation"):
         topology = actual.topology
         joint, now = instant.loads, instant.motion
-        force, moment = loads.momentum_residual(actual, state, instant.accelerations, instant.base, instant.frame_loads)
+        force, moment = energy_and_momentum.momentum_residual(
+            actual, state, instant.accelerations, instant.base, instant.frame_loads
+        )
         largest_force = equations.safe_sqrt(jnp.max(jnp.sum(joint.force**2, axis=0)))
         largest_moment = equations.safe_sqrt(jnp.max(jnp.sum(joint.moment**2, axis=0)))
         largest_moment = largest_moment + largest_force * instant.arm
@@ -212,8 +214,8 @@ def observe(
 def energy_at(actual: ModelWithErrors, state: State, work: Float[Array, ""], dissipation: Float[Array, ""]) -> Energy:
     """Energies [J] at one instant; the work follows from the integrals of the powers since the start, up to a
     constant."""
-    tables = loads.table_work(actual, state)
-    return Energy(*loads.energies(actual, state), work if tables is None else work + tables, dissipation)
+    tables = energy_and_momentum.table_work(actual, state)
+    return Energy(*energy_and_momentum.energies(actual, state), work if tables is None else work + tables, dissipation)
 
 
 def _point_histories(topology: Topology, at_nodes: FrameLoads | None) -> dict[str, PointHistory]:

@@ -29,7 +29,7 @@ from rfem_jax.description.basics.errors import InputError, suggestion
 from rfem_jax.description.metrics.subjects import divided
 from rfem_jax.mechanics.algebra.vectors import apply, dot
 from rfem_jax.mechanics.dynamics.base_loads import shaking_load
-from rfem_jax.mechanics.dynamics.loads import velocities
+from rfem_jax.mechanics.dynamics.energy_and_momentum import velocities
 from rfem_jax.mechanics.dynamics.point_paths import PointMotion
 from rfem_jax.mechanics.dynamics.section_loads import (
     COUPLED_ROWS,

@@ -30,7 +30,7 @@ from rfem_jax.description.metrics.shaking_metrics import RECORD
 from rfem_jax.description.metrics.subjects import divided
 from rfem_jax.kernels import kernel
 from rfem_jax.labelled_data import DataFrame, Dataset
-from rfem_jax.mechanics.dynamics import dynamics, loads
+from rfem_jax.mechanics.dynamics import dynamics, energy_and_momentum, loads
 from rfem_jax.mechanics.dynamics.base_loads import ShakingLoad, shaking_load
 from rfem_jax.mechanics.dynamics.point_paths import PointMotion, point_motions
 from rfem_jax.mechanics.dynamics.section_loads import loads_of_sections, section_edges, stress_squares
@@ -388,7 +388,7 @@ def _balance(actual: ModelWithErrors, state: State, still: Still, accelerated: C
     """Force and moment that the whole mechanism lacks for its momentum, at rest for equilibrium, over the largest load
     of a joint (theory (11.8))."""
     base = loads.base_wrench(actual.topology, still.wrenches)
-    force, moment = loads.momentum_residual(actual, state, accelerated, base, still.frame_loads)
+    force, moment = energy_and_momentum.momentum_residual(actual, state, accelerated, base, still.frame_loads)
     largest_force = safe_sqrt(jnp.max(jnp.sum(still.loads.force**2, axis=0)))
     arm = jnp.max(jnp.abs(still.motion.hinges.point))
     largest_moment = safe_sqrt(jnp.max(jnp.sum(still.loads.moment**2, axis=0))) + largest_force * arm

@@ -20,7 +20,7 @@ from rfem_jax.description.basics.errors import InputError, require_choice
 from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.kernels import kernel
 from rfem_jax.labelled_data import DataFrame, Dataset
-from rfem_jax.mechanics.dynamics import loads
+from rfem_jax.mechanics.dynamics import energy_and_momentum
 from rfem_jax.mechanics.dynamics.base_loads import ShakingLoad
 from rfem_jax.mechanics.dynamics.load_axes import AXES, turned_loads
 from rfem_jax.mechanics.dynamics.point_paths import point_motions
@@ -180,7 +180,7 @@ def held_at(model: Model, errors: AssemblyErrors, pose: ClosedPose, stresses: bo
     turned = {}
     if axes != "joint":
         turned = named(model, turned_loads(topology, still.motion, still.closure, still.loads, axes))
-    energy = loads.energies(actual, state)
+    energy = energy_and_momentum.energies(actual, state)
     points = point_motions(actual, still.motion, still.angular, still.linear)
     return Turn(
         position=position.joints[topology.driven_position],

@@ -10,7 +10,7 @@ from jax.flatten_util import ravel_pytree
 
 from rfem_jax import State, discretise
 from rfem_jax.kernels import kernel
-from rfem_jax.mechanics.dynamics import loads
+from rfem_jax.mechanics.dynamics import energy_and_momentum, loads
 from rfem_jax.mechanics.dynamics.dynamics import accelerations
 from rfem_jax.mechanics.laws.frame_forces import Time
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation, impose
@@ -150,7 +150,7 @@ def compared(request):
         slow, multipliers = reference_accelerations(actual, state, drive, GAINS)
         joint = loads.joint_loads(actual, fast, drive)
         chain, base = loads.chain_loads(actual, fast, fast.angular, fast.linear, drive)
-        residual = loads.momentum_residual(actual, state, fast.coordinates, base, fast.frame_loads)
+        residual = energy_and_momentum.momentum_residual(actual, state, fast.coordinates, base, fast.frame_loads)
         inside = {} if fast.laws is None else fast.laws.inside
         return fast.coordinates, fast.multipliers, slow, multipliers, residual, joint, chain, inside, state
 

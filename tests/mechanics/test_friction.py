@@ -11,7 +11,7 @@ import pytest
 
 from rfem_jax import Compliance, Joint, JointFriction, Mechanism, PointSpring, assembly_errors, discretise
 from rfem_jax.kernels import kernel
-from rfem_jax.mechanics.dynamics import loads
+from rfem_jax.mechanics.dynamics import energy_and_momentum, loads
 from rfem_jax.mechanics.dynamics.dynamics import accelerations
 from rfem_jax.mechanics.forces.friction import friction_lines
 from rfem_jax.mechanics.forces.joint_forces import FrictionState
@@ -184,11 +184,11 @@ def compared(request):
         fast = accelerations(actual, state, drive, GAINS)
         joint = loads.joint_loads(actual, fast, drive)
         chain, base = loads.chain_loads(actual, fast, fast.angular, fast.linear, drive)
-        balance = loads.momentum_residual(actual, state, fast.coordinates, base)
+        balance = energy_and_momentum.momentum_residual(actual, state, fast.coordinates, base)
         explicit = fast.coordinates, fast.multipliers, fast.laws, joint, chain, balance
         evaluation = evaluate_residual(actual, state, *slow[:2], drive, GAINS.scale)
         joint = loads.loads_of_wrenches(actual.topology, evaluation, evaluation.wrenches, drive)
-        balance = loads.momentum_residual(
+        balance = energy_and_momentum.momentum_residual(
             actual, state, slow[0], loads.base_wrench(actual.topology, evaluation.wrenches)
         )
         residual = evaluation.hinge, evaluation.force, evaluation.moment

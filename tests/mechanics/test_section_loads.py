@@ -10,7 +10,7 @@ import pytest
 
 from rfem_jax import Circle, DistributedForce, PointForce, PointMass, Rectangle, Station, discretise
 from rfem_jax.kernels import kernel
-from rfem_jax.mechanics.dynamics import loads
+from rfem_jax.mechanics.dynamics import energy_and_momentum, loads
 from rfem_jax.mechanics.dynamics.dynamics import accelerations
 from rfem_jax.mechanics.dynamics.section_loads import loads_of_sections
 from rfem_jax.mechanics.kinematics.motion import all_frames
@@ -94,7 +94,7 @@ def moving(request):
         result = accelerations(actual, state, drive, Stabilisation(3.0, 7.0, 0.3))
         now = solved_instant(actual, result, drive, jnp.asarray(0.3))
         inertial = loads.inertial_loads(actual, now.motion, now.angular, now.linear)
-        frames = all_frames(model.topology, now.motion), loads.velocities(actual, now.motion)[3]
+        frames = all_frames(model.topology, now.motion), energy_and_momentum.velocities(actual, now.motion)[3]
         names = {name: model.topology.links.index(name) for name in LINKS}
         sections = {name: loads_of_sections(model, actual, state, now, l) for name, l in names.items()}
         return actual, now, inertial, frames, sections

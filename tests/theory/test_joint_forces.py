@@ -23,7 +23,7 @@ from rfem_jax import (
     largest_stable_step,
     simulate,
 )
-from rfem_jax.mechanics.dynamics import loads
+from rfem_jax.mechanics.dynamics import energy_and_momentum
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.simulation import vibration
 from rfem_jax.simulation.stability import eigenvalues
@@ -183,7 +183,7 @@ def test_a_spring_in_a_loop_at_rest(elements):
 
     def at(angle):
         assembled = assemble(model, errors, hold={"A": angle})
-        energy = loads.energies(apply_errors(model, errors), assembled.state).elastic
+        energy = energy_and_momentum.energies(apply_errors(model, errors), assembled.state).elastic
         rocker = assembled.state.position.joints[model.topology.joints.index("D")]
         return energy, (assembled.preload["A"].moment[1], assembled.preload["D"].moment[1], rocker, assembled.status)
 

@@ -33,7 +33,7 @@ from rfem_jax import (
     simulate,
     static_loads,
 )
-from rfem_jax.mechanics.dynamics.loads import energies, momentum
+from rfem_jax.mechanics.dynamics.energy_and_momentum import energies, momentum
 from rfem_jax.mechanics.model.model import Coordinates, State
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.simulation.vibration import Vibration

@@ -20,7 +20,8 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Bool, Float
 
 from rfem_jax.mechanics.algebra.definiteness import constrained, lowest_direction, orthonormal_rows, positive
-from rfem_jax.mechanics.dynamics.loads import JointLoads, energies
+from rfem_jax.mechanics.dynamics.energy_and_momentum import energies
+from rfem_jax.mechanics.dynamics.loads import JointLoads
 from rfem_jax.mechanics.laws.point_laws import GivenLoad
 from rfem_jax.mechanics.model.model import State, Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
