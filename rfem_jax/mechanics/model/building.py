@@ -1,6 +1,6 @@
 """From a described mechanism to the arrays of a model, before its loops are closed.
 
-Place in the pipeline: description -> **building** -> discretisation.
+Place in the pipeline: description, places, acting_laws -> **building** -> discretisation.
 """
 
 from collections.abc import Sequence
@@ -14,33 +14,35 @@ from jax import Array
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.basics.joint_kinds import KINDS, JointKind, compliant
 from rfem_jax.description.basics.numbers import Number, array_of, rotation_of_angles, traced
-from rfem_jax.description.mechanism.couplings import Coupling
-from rfem_jax.description.mechanism.distributed_forces import DistributedForce
-from rfem_jax.description.mechanism.forces import JointForce, JointFriction
 from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.links import GRADIENTS, Link
 from rfem_jax.description.mechanism.mechanism import EQUILIBRIUM, MINIMUM_NORM, Mechanism
 from rfem_jax.description.mechanism.point_forces import AtPoint, BetweenPoints
 from rfem_jax.description.mechanism.points import NamedPoint
-from rfem_jax.description.mechanism.reduced_bodies import SAME_PLACE, ReducedBody
+from rfem_jax.description.mechanism.reduced_bodies import ReducedBody
 from rfem_jax.description.mechanism.sections import CoupledSection, plane_edges, plane_names
 from rfem_jax.description.parameters.parts import Parts, parts_of
 from rfem_jax.mechanics.laws.bearings import bearing_capacities
 from rfem_jax.mechanics.laws.clearances import clearance_name, pin_in_bush
-from rfem_jax.mechanics.laws.couplings import CouplingLaw, coupling_law
-from rfem_jax.mechanics.laws.frame_forces import FrameForce, NodeFrame
-from rfem_jax.mechanics.laws.friction_laws import Friction, friction_law
-from rfem_jax.mechanics.laws.joint_laws import JointLaw, joint_law
-from rfem_jax.mechanics.laws.joint_springs import CompliantSpring, compliant_spring
-from rfem_jax.mechanics.laws.line_loads import LineLoad, line_load
-from rfem_jax.mechanics.laws.point_laws import load_at, spring_between
+from rfem_jax.mechanics.laws.frame_forces import NodeFrame
+from rfem_jax.mechanics.model.acting_laws import (
+    carried_points,
+    coupling_laws,
+    force_nodes,
+    frame_forces,
+    frictions,
+    joint_laws,
+    line_loads,
+    springs,
+)
 from rfem_jax.mechanics.model.form import QUARTER, Attached, form_of, require_turned
-from rfem_jax.mechanics.model.model import BASE, CarriedPoint, Model, Sections, Topology
+from rfem_jax.mechanics.model.model import BASE, Model, Sections, Topology
 from rfem_jax.mechanics.model.named_points import with_named_points
 from rfem_jax.mechanics.model.orientations import quaternion_of_angles
+from rfem_jax.mechanics.model.places import Attachment, DividedLinks, all_masses, masses_of, node_place, place_on
 from rfem_jax.mechanics.model.profiles import profile_of, taper_of
 from rfem_jax.mechanics.model.sources import ForceNodes, source_of
-from rfem_jax.mechanics.model.superelements import TENSOR_ROWS, Superelement, reduced_link, rigid_part, superelement_of
+from rfem_jax.mechanics.model.superelements import TENSOR_ROWS, Superelement, reduced_link, superelement_of
 from rfem_jax.mechanics.model.warmth import warmed
 
 
@@ -70,14 +72,14 @@ class PartStructure(NamedTuple):
 def _structure_of(mechanism: Mechanism, parts: Parts, elements: dict[str, int], exact: bool) -> PartStructure:
     """Topology of the parts: the rigid bodies, and the joints, masses and forces on each."""
     links = [mechanism.link(joint.child) for joint in mechanism.tree_joints]
-    discretised = _Links(tuple(links), tuple(elements[link.name] for link in links))
+    discretised = DividedLinks(tuple(links), tuple(elements[link.name] for link in links))
     tree = {joint.child: joint for joint in parts.joints if not joint.cut}
     joints = [tree[link.name] for link in links] + [j for j in parts.joints if j.cut]
     parents = [discretised.attach(j.parent, j.position, True) for j in joints]
     children = [discretised.attach(j.child, j.child_position, j.cut) for j in joints]
     _require_first_rfes(joints[: len(links)], children)
-    masses = [(i, mass) for i, link in enumerate(links) for mass in _masses_of(link)]
-    acted = _force_nodes(mechanism, discretised)
+    masses = [(i, mass) for i, link in enumerate(links) for mass in masses_of(link)]
+    acted = force_nodes(mechanism, discretised)
     ideal = [one for one in mechanism.couplings if one.ideal]
     shaped = any(link.course or link.form_errors for link in links) or any(
         isinstance(section, CoupledSection) for link in links for section in link.sections
@@ -136,7 +138,7 @@ def _require_one_of(topology: Topology) -> None:
         )
 
 
-def _stations(links: Sequence[Link], discretised: "_Links") -> tuple[tuple[int, ...], ...]:
+def _stations(links: Sequence[Link], discretised: DividedLinks) -> tuple[tuple[int, ...], ...]:
     """Of every link the rfes that hold its stations inside."""
     held = []
     for i, link in enumerate(links):
@@ -154,7 +156,7 @@ def arrays_of(parts: Parts, structure: PartStructure) -> Model:
     joints = [parts.joint(name) for name in topology.joints]
     seats = zip(joints, topology.parents, strict=True)
     bores = zip(joints, topology.children, strict=True)
-    masses = _all_masses(links)
+    masses = all_masses(links)
     held = zip(topology.masses, masses, strict=True)
     start = [_start(j, topology.kind(l)) for l, j in enumerate(joints[: len(links)])]
     model = Model(
@@ -162,26 +164,26 @@ def arrays_of(parts: Parts, structure: PartStructure) -> Model:
         length=_array([link.length for link in links]),
         section=_sections(links, parts.plane),
         parent_rotation=_rotations([j.orientation for j in joints], parts.plane),
-        parent_position=_columns([_node_place(topology, links, node, j.position, True) for j, node in seats]),
+        parent_position=_columns([node_place(topology, links, node, j.position, True) for j, node in seats]),
         child_rotation=_rotations([j.child_orientation for j in joints], parts.plane),
-        child_position=_columns([_node_place(topology, links, node, j.child_position, j.cut) for j, node in bores]),
+        child_position=_columns([node_place(topology, links, node, j.child_position, j.cut) for j, node in bores]),
         point_mass=_array([mass.mass for mass in masses]),
-        point_position=_columns([_node_place(topology, links, node, mass.position, False) for node, mass in held]),
+        point_position=_columns([node_place(topology, links, node, mass.position, False) for node, mass in held]),
         point_inertia=_columns([mass.inertia for mass in masses]),
         start_joints=_array([value for values in start for value in values]),
         cut_angles=_array([0.0] * (len(joints) - len(links))),
         gravity=_array(parts.gravity),
-        forces=_joint_laws(parts, topology) or None,
-        couplings=_couplings(parts, topology) or None,
+        forces=joint_laws(parts, topology) or None,
+        couplings=coupling_laws(parts, topology) or None,
         point_products=_columns([mass.products for mass in masses]) if products else None,
-        frame_forces=_frame_forces(parts, topology, links, points) or None,
-        friction=_frictions(parts, topology) or None,
-        springs=(_springs(parts, topology) or None) if topology.sprung else None,
+        frame_forces=frame_forces(parts, topology, links, points) or None,
+        friction=frictions(parts, topology) or None,
+        springs=(springs(parts, topology) or None) if topology.sprung else None,
         bearings=bearing_capacities(joints) or None,
         start_rates=_start_rates(joints[: len(links)], topology),
         reaction_length=reaction_length(parts) if topology.minimum_norm else None,
-        points=_carried_points(parts, topology, links, points) or None,
-        line_loads=_line_loads(parts, topology) or None,
+        points=carried_points(parts, topology, links, points) or None,
+        line_loads=line_loads(parts, topology) or None,
         shaking_point=None if parts.shaking_point is None else _array(parts.shaking_point),
         curvature=_curvatures(links),
         superelements=_superelements(links, topology),
@@ -208,23 +210,19 @@ def _attached(
         if node == BASE:
             return BASE, None
         index = topology.link_of(node)
-        return index, _place_on(links[index], position, at_end)
+        return index, place_on(links[index], position, at_end)
 
     nodes = dict(points)
     return Attached(
         [held(node, joint.position, True) for joint, node in zip(joints, topology.parents, strict=True)],
         [held(node, joint.child_position, joint.cut) for joint, node in zip(joints, topology.children, strict=True)],
-        [held(node, mass.position, False) for node, mass in zip(topology.masses, _all_masses(links), strict=True)],
+        [held(node, mass.position, False) for node, mass in zip(topology.masses, all_masses(links), strict=True)],
         {
             force.name: [held(node, place, False) for node, (_, place) in zip(nodes[force.name], force.ends())]
             for force in parts.forces
             if isinstance(force, AtPoint | BetweenPoints)
         },
     )
-
-
-def _all_masses(links: Sequence[Link]) -> list["_Mass"]:
-    return [mass for link in links for mass in _masses_of(link)]
 
 
 def reaction_length(parts: Parts) -> Array:
@@ -245,31 +243,6 @@ def _with_clearances(model: Model, joints: Sequence[Joint]) -> Model:
     return replace(model, frame_forces=elements)
 
 
-class _Mass(NamedTuple):
-    """A point mass, or a body: mass [kg], its centre [m] in the link frame, principal moments and products of inertia
-    (J_xy, J_xz, J_yz) [kg m^2]."""
-
-    mass: Number
-    position: Sequence[Number]
-    inertia: Sequence[Number]
-    products: Sequence[Number] = (0.0, 0.0, 0.0)
-    of_body: bool = False
-
-
-def _masses_of(link: Link) -> list[_Mass]:
-    """The body of a link, if it has one, and its point masses."""
-    masses = [_Mass(point.mass, point.position, point.inertia) for point in link.point_masses]
-    if link.body is None:
-        return masses
-    if isinstance(link.body, ReducedBody):
-        mass, centre, tensor = rigid_part(link.body)
-        centre = centre.tolist()
-    else:
-        mass, centre, tensor = link.body.mass, link.body.centre, link.body.tensor
-    products = (tensor[0, 1], tensor[0, 2], tensor[1, 2])
-    return [_Mass(mass, centre, [tensor[i, i] for i in range(3)], products, True), *masses]
-
-
 def _coordinate(joints: Sequence[Joint], joint: str, motion: str) -> int:
     """Index among the rates of a free motion about or along one axis; joints of the tree come first."""
     index = [one.name for one in joints].index(joint)
@@ -278,213 +251,7 @@ def _coordinate(joints: Sequence[Joint], joint: str, motion: str) -> int:
     return sum(len(kind.freedoms) for kind in kinds[:index]) + kinds[index].motions.index(motion)
 
 
-def _joint_laws(parts: Parts, topology: Topology) -> dict[str, JointLaw]:
-    """The forces along joint coordinates, by their names."""
-    laws = {}
-    for force in parts.forces:
-        if isinstance(force, JointFriction) or not isinstance(force, JointForce):
-            continue
-        joint = topology.joints.index(force.joint)
-        n = force.coordinate(parts.joint(force.joint))
-        laws[force.name] = joint_law(force, topology.own_coordinates[joint][n], topology.own_positions[joint][n])
-    return laws
-
-
-def _couplings(parts: Parts, topology: Topology) -> dict[str, CouplingLaw]:
-    """The couplings of joint coordinates, by their names."""
-    laws = {}
-    for force in parts.forces:
-        if isinstance(force, Coupling):
-            joints = [topology.joints.index(name) for name in force.joints]
-            own = [force.coordinate(side, parts.joint(name)) for side, name in enumerate(force.joints)]
-            rates, places = (
-                (one[joints[0]][own[0]], one[joints[1]][own[1]])
-                for one in (topology.own_coordinates, topology.own_positions)
-            )
-            laws[force.name] = coupling_law(force, rates, places)
-    return laws
-
-
-def _frictions(parts: Parts, topology: Topology) -> dict[str, Friction]:
-    """Friction in joints, by its names."""
-    frictions = {}
-    for force in parts.forces:
-        if isinstance(force, JointFriction):
-            joint, described = topology.joints.index(force.joint), parts.joint(force.joint)
-            n, places = force.coordinate(described), (None, None)
-            if not described.cut:
-                places = topology.own_coordinates[joint][n], topology.own_positions[joint][n]
-            frictions[force.name] = friction_law(force, described, joint, *places)
-    return frictions
-
-
-def _springs(parts: Parts, topology: Topology) -> dict[str, CompliantSpring]:
-    """The springs of compliant joints by names as "A.radial"."""
-    springs = {}
-    for j, joint in enumerate(topology.joints):
-        for spring in parts.springs_of(joint):
-            if j < topology.n_links:
-                named = list(enumerate(topology.kind(j).freedoms))
-                at = [n for n, one in named if f"{'TR'[one.rotation]}_{'xyz'[one.axis]}" in spring.motions]
-                rates, numbers = topology.coordinates[j], topology.positions[j]
-                law = compliant_spring(spring, tuple(rates[n] for n in at), tuple(numbers[n] for n in at), ())
-            else:
-                law = compliant_spring(spring, (), (), _rows_of(topology, j, spring.motions))
-            springs[f"{joint}.{spring.name}"] = law
-    return springs
-
-
-def _rows_of(topology: Topology, cut: int, motions: Sequence[str]) -> tuple[int, ...]:
-    """Closure equations of a cut joint that are the laws of a spring on these motions."""
-    nominal, rows = topology.kind(cut).nominal, topology.constraints[cut - topology.n_links]
-    of_centre = rows[: len(nominal.across)]
-    if motions[0][0] == "R":
-        return tuple(rows[len(of_centre) :])
-    return tuple(k for k, axis in zip(of_centre, nominal.across) if f"T_{'xyz'[axis]}" in motions)
-
-
-def _force_nodes(mechanism: Mechanism, links: "_Links") -> ForceNodes:
-    """The nodes of the ends of all forces at points and between them, by the names of the forces."""
-    named_nodes = []
-    for force in mechanism.point_forces:
-        nodes = tuple(links.attach(name, place, False).node for name, place in force.ends())
-        if isinstance(force, BetweenPoints) and nodes[0] == nodes[1]:
-            raise InputError(
-                f"Argument `points` of force `{force.name}` must move against each other, but both lie on one rigid "
-                f"finite element of link `{force.links[0]}`; move them apart, or divide the link more finely."
-            )
-        named_nodes.append((force.name, nodes))
-    return tuple(named_nodes)
-
-
-def _frame_forces(parts: Parts, topology: Topology, links: Sequence[Link], points: ForceNodes) -> dict[str, FrameForce]:
-    """The forces at points and between them, by their names."""
-    elements: dict[str, FrameForce] = {}
-    nodes, unit = dict(points), jnp.eye(3)
-    base = NodeFrame(BASE, unit, jnp.zeros(3))
-    for force in parts.forces:
-        if not isinstance(force, AtPoint | BetweenPoints):
-            continue
-        frames = []
-        for node, (_, place) in zip(nodes[force.name], force.ends(), strict=True):
-            position = jnp.asarray(array_of(_node_place(topology, links, node, place, False)))
-            frames.append(NodeFrame(node, unit, position))
-        if isinstance(force, BetweenPoints):
-            elements[force.name] = spring_between(force, *frames)
-        else:
-            elements[force.name] = load_at(force, base, frames[0])
-    return elements
-
-
-def _line_loads(parts: Parts, topology: Topology) -> dict[str, LineLoad]:
-    """The forces along links, by their names."""
-    lines = [force for force in parts.forces if isinstance(force, DistributedForce)]
-    return {force.name: line_load(force, topology.links.index(force.link), parts.link(force.link)) for force in lines}
-
-
-def _carried_points(
-    parts: Parts, topology: Topology, links: Sequence[Link], nodes: ForceNodes
-) -> dict[str, CarriedPoint]:
-    """The points whose paths are followed, by their names."""
-    carriers, carried = dict(nodes), {}
-    for point in parts.points:
-        if isinstance(point, NamedPoint):
-            continue
-        (node,) = carriers[point.name]
-        position = jnp.asarray(array_of(_node_place(topology, links, node, point.place, False)), jnp.float64)
-        observer = BASE if point.relative_to == "base" else topology.links.index(point.relative_to)
-        carried[point.name] = CarriedPoint(node, observer, position)
-    return carried
-
-
-def _node_place(
-    topology: Topology, links: Sequence[Link], node: int, position: Sequence[Number] | None, at_end: bool
-) -> list[Number]:
-    """A place in the frame of the node that holds it [m]; None: the end of its link (`at_end`) or its start."""
-    if node == BASE:
-        return [0.0, 0.0, 0.0] if position is None else list(position)
-    index = topology.link_of(node)
-    x, y, z = _place_on(links[index], position, at_end)
-    if node < topology.n_links:
-        return [x, y, z]
-    first = topology.ranges[index][0]
-    middle = float(topology.fractions(index)[1][node - topology.n_links - first + 1])
-    if links[index].course:
-        curve = links[index].curve
-        about = curve.at(array_of([middle * curve.length])).position
-        return [x - about[0, 0], y - about[1, 0], z - about[2, 0]]
-    return [x - middle * links[index].length, y, z]
-
-
-def _place_on(link: Link, position: Sequence[Number] | None, at_end: bool) -> Sequence[Number]:
-    """A place in a link's frame [m]; None: its end (`at_end`) or its start."""
-    if position is not None:
-        return position
-    if at_end and link.course:
-        return link.course[-1].to
-    return (link.length if at_end else 0.0, 0.0, 0.0)
-
-
-class _Attachment(NamedTuple):
-    """One side of a joint: its node, and whether that is the far end of a link."""
-
-    node: int
-    at_end: bool
-
-
-class _Links(NamedTuple):
-    """The links in the order of the model, and their numbers of rfes."""
-
-    links: tuple[Link, ...]
-    elements: tuple[int, ...]
-
-    def node(self, index: int, place: Sequence[Any]) -> int:
-        """Node that holds a point of a link."""
-        link, n = self.links[index], self.elements[index]
-        if isinstance(link.body, ReducedBody) and n > 1:
-            i = _interface_at(link, link.body, place)
-            return index if i == 0 else len(self.links) + sum(n - 1 for n in self.elements[:index]) + i - 1
-        x = place[0] if not link.course or n == 1 else _along(link, place)
-        edge = np.clip(x / link.length * (n - 1) + 0.5, 0, n - 1)
-        i = 0 if n == 1 else int(min(edge, n - 1))
-        if i == 0:
-            return index
-        return len(self.links) + sum(n - 1 for n in self.elements[:index]) + i - 1
-
-    def holder(self, index: int, mass: _Mass) -> int:
-        """Node that holds a point mass; that of a body is the first one of its link."""
-        return index if mass.of_body else self.node(index, [float(x) for x in mass.position])
-
-    def attach(self, owner: str, position: Sequence[float] | None, at_end: bool) -> _Attachment:
-        """One side of a joint; without a position it is at the link's end (`at_end`) or its start."""
-        if owner == "base":
-            return _Attachment(BASE, False)
-        index = [link.name for link in self.links].index(owner)
-        link = self.links[index]
-        place = _place_on(link, position, at_end)
-        end = link.course[-1].to if link.course else (link.length,)
-        far = max(abs(x - y) for x, y in zip(place, end)) > 1e-12 * link.length
-        return _Attachment(self.node(index, place), not far)
-
-
-def _interface_at(link: Link, body: ReducedBody, place: Sequence[Any]) -> int:
-    """The interface at a place of a link with a reduced body, on which alone anything can be fixed."""
-    apart = np.linalg.norm(np.asarray(body.interfaces) - np.array(place, dtype=float), axis=1)
-    if apart.min() > SAME_PLACE * float(link.length):
-        shown = ", ".join(f"({x:.6g}, {y:.6g}, {z:.6g})" for x, y, z in np.asarray(body.interfaces))
-        raise InputError(
-            f"Argument `position` of what is fixed to link `{link.name}` must be an interface of its reduced body, but "
-            f"is {tuple(map(float, place))} m; its interfaces are {shown}."
-        )
-    return int(apart.argmin())
-
-
-def _along(link: Link, place: Sequence[Any]) -> float:
-    """Length along the axis of a link [m] at the place on it that is nearest."""
-    return float(link.curve.nearest(np.array(place, dtype=float)[:, None])[0])
-
-
-def _require_first_rfes(joints: Sequence[Joint], children: Sequence[_Attachment]) -> None:
+def _require_first_rfes(joints: Sequence[Joint], children: Sequence[Attachment]) -> None:
     """Raise InputError for the first tree joint that does not lie on rfe 0 of its link."""
     for joint, child in zip(joints, children):
         if child.node >= len(joints):
