@@ -283,7 +283,7 @@ def _plan_of(blueprint: Blueprint, topology: Topology, names: tuple[str, ...]) -
     moved = bool(any(frames) or flags.start_joints or any(jax.tree.leaves(coupled)))
     closes = moved and at_start.n_constraints > 0
     elements = jax.tree.leaves(flags.frame_forces)
-    flags = replace(flags, start_joints=moved, cut_angles=closes)
+    flags = eqx.tree_at(lambda tree: (tree.start_joints, tree.cut_angles), flags, (moved, closes))
     arms = bool(any(frames) or flags.point_position or any(elements))
     return Plan(_changes_of(flags), closes, arms, structure.products)
 
