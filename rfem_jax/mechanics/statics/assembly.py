@@ -479,7 +479,8 @@ def _search(
     if tested and told_by_return(loaded[0]):
         disturbed = ~np.isin(np.arange(guess.size), given) & (np.arange(guess.size) < scaled.units.size)
     constant = _preconditioner(scaled, given, perfect[0], undeformed)
-    return chord(equations, constant, _rows(scaled, perfect[0]), guess, loaded, tested, disturbed)
+    rows = _rows(scaled, perfect[0])
+    return chord(equations, constant, rows, guess, loaded, with_jacobian=tested, disturbed=disturbed)
 
 
 def _preconditioner(scaled: _Scaled, given: np.ndarray, actual: ModelWithErrors, unknowns: Array) -> Linear:
