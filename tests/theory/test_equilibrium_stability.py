@@ -273,7 +273,7 @@ def test_the_stiffness_is_that_of_the_equations_of_motion(make, monkeypatch):
     slender = topology.n_freedoms + np.arange(3)[:, None] * topology.n_rfes + np.flatnonzero(topology.slender_rfes)
     free = free_coordinates(topology, np.array([*topology.idle, *held, *slender.reshape(-1)], int))
     tangent, expected = found.tangent, expected.stiffness[np.ix_(free, free)]
-    scaled, rows, root = evaluated(lambda tangent: scaled_parts(topology, tangent, free, 1e-9))(tangent)
+    scaled, rows, root = evaluated(lambda tangent: scaled_parts(topology, tangent, free, jnp.asarray(1e-9)))(tangent)
     root = root[free] * tangent.units[free]
     stiffness = scaled[np.ix_(free, free)] * tangent.force * tangent.length / np.outer(root, root)
     size = np.sqrt(np.abs(np.diagonal(expected)) + 1e-9 * np.abs(expected).max())
