@@ -65,7 +65,7 @@ def test_recursion_alone_finds_the_equilibrium_and_its_derivatives(make, monkeyp
         patch.setattr(
             assembly,
             "chord",
-            lambda equations, preconditioner, rows, *place, **options: search.newton(equations, *place, **options),
+            lambda equations, preconditioner, rows, *place, **options: (*search.newton(equations, *place), False),
         )
         patch.setattr(
             assembly,
@@ -81,9 +81,10 @@ def test_recursion_alone_finds_the_equilibrium_and_its_derivatives(make, monkeyp
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("make, most", [(four_bar, 1e-3), (twisted_spatial_loop, 1e-2)])
-def test_the_preconditioner_is_nearly_exact(make, most):
-    """Of a mechanism at rest, undeformed: spectral radius of the iteration."""
+@pytest.mark.parametrize("make, most, rounding", [(four_bar, 1e-3, 1e-12), (twisted_spatial_loop, 1e-2, 1e-3)])
+def test_the_preconditioner_is_nearly_exact(make, most, rounding):
+    """Of a mechanism at rest, undeformed: spectral radius of the iteration. It is symmetric, but for the signs of rows
+    and rounding, which grows as inertia becomes small, and has as many negative eigenvalues as closure equations."""
     model = discretise(make())
     actual = eqx.tree_at(lambda r: r.gravity, apply_errors(model, assembly_errors(model)), jnp.zeros(3))
     scaled = assembly._scaled(model, actual)
@@ -99,9 +100,16 @@ def test_the_preconditioner_is_nearly_exact(make, most):
     @jax.jit
     def iteration():
         preconditioner = assembly._preconditioner(scaled, given, actual, start)
-        return jnp.eye(start.size) - jax.vmap(preconditioner, 1, 1)(jax.jacfwd(residual)(start))
+        by_columns = jax.vmap(preconditioner, 1, 1)
+        return jnp.eye(start.size) - by_columns(jax.jacfwd(residual)(start)), by_columns(jnp.eye(start.size))
 
-    assert 0.0 < np.abs(np.linalg.eigvals(iteration())).max() < most
+    change, inverse = iteration()
+    assert 0.0 < np.abs(np.linalg.eigvals(change)).max() < most
+    rows, constraints = np.arange(start.size), model.topology.n_constraints
+    signs = np.where(rows < model.topology.n_freedoms, 1.0, -1.0)
+    inverse = (np.asarray(inverse) * signs)[len(given) :, len(given) :]
+    np.testing.assert_allclose(inverse, inverse.T, rtol=0, atol=rounding * np.abs(inverse).max())
+    assert np.sum(np.linalg.eigvalsh(inverse + inverse.T) < 0.0) == constraints
 
 
 @pytest.mark.slow

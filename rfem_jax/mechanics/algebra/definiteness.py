@@ -9,6 +9,7 @@ some tens of products of matrices, only where it is not.
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float
 
@@ -25,15 +26,16 @@ def orthonormal_rows(rows: Float[Array, "c n"]) -> Float[Array, "c n"]:
     least = NEW * jnp.max(sizes)
     rows = rows / jnp.where(sizes > least, sizes, 1.0)[:, None] * jnp.where(sizes > least, 1.0, 0.0)[:, None]
 
-    def one_more(k, found):
+    def one_more(rows, k):
         new = jax.lax.dynamic_index_in_dim(rows, k, keepdims=False)
-        for _ in range(2):  # once leaves rounding over the part that is new
-            new = new - (found @ new) @ found
         size = jnp.sqrt(jnp.sum(new**2))
         new = jnp.where(size > NEW, new / jnp.where(size > NEW, size, 1.0), 0.0)
-        return found + jnp.where(jnp.arange(c) == k, 1.0, 0.0)[:, None] * new[None]
+        along = jnp.where(jnp.arange(c) == k, 0.0, rows @ new)
+        others = rows - along[:, None] * new[None]
+        return jnp.where((jnp.arange(c) == k)[:, None], new[None], others), None
 
-    return jax.lax.fori_loop(0, c, one_more, jnp.zeros_like(rows))
+    # A second time, since rounding is over the small part of a row that is new.
+    return jax.lax.scan(one_more, rows, np.tile(np.arange(c), 2))[0]
 
 
 def constrained(matrix: Float[Array, "n n"], rows: Float[Array, "c n"]) -> Float[Array, "n n"]:
@@ -44,13 +46,14 @@ def constrained(matrix: Float[Array, "n n"], rows: Float[Array, "c n"]) -> Float
     return matrix - across @ rows - rows.T @ along + rows.T @ (rows @ across) @ rows + rows.T @ rows
 
 
-def positive(matrix: Float[Array, "n n"]) -> Bool[Array, ""]:
-    """Whether a symmetric matrix is positive definite: whether all pivots are."""
+def positive(matrix: Float[Array, "n n"], more: float | Float[Array, ""] = 0.0) -> Bool[Array, ""]:
+    """Whether a symmetric matrix with `more` on its diagonal is positive definite: whether all pivots are."""
     n = matrix.shape[0]
 
     def eliminate(k, carry):
         rest, least = carry
         row = jax.lax.dynamic_index_in_dim(rest, k, keepdims=False)
+        row = row + jnp.where(jnp.arange(n) == k, more, 0.0)
         pivot = jnp.sum(jnp.where(jnp.arange(n) == k, row, 0.0))
         least = jnp.minimum(least, pivot)
         row = row / jnp.sqrt(jnp.where(pivot > 0.0, pivot, 1.0))
@@ -71,7 +74,9 @@ def lowest_direction(matrix: Float[Array, "n n"]) -> tuple[Float[Array, ""], Flo
         power = power @ power
         return power / jnp.max(jnp.abs(power))
 
-    power = jax.lax.fori_loop(0, SQUARINGS, squared, jnp.eye(n) - matrix)
+    by_rows = jnp.arange(n), matrix
+    power = jax.lax.map(lambda own: jnp.where(jnp.arange(n) == own[0], 1.0, 0.0) - own[1], by_rows)
+    power = jax.lax.fori_loop(0, SQUARINGS, squared, power)
     # The largest column, of which all others are nearly multiples; the last one of those that are as large.
     sizes = jnp.sum(power**2, axis=0) * (1.0 + 1e-9 * jnp.arange(n, dtype=float))
     vector = power @ jnp.where(sizes == jnp.max(sizes), 1.0, 0.0)

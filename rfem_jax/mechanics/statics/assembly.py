@@ -74,7 +74,7 @@ from rfem_jax.mechanics.statics.equilibrium_stability import (
     free_coordinates,
     is_tested,
     stability_of,
-    tangent_of,
+    told_by_return,
 )
 from rfem_jax.mechanics.statics.search import (
     Equations,
@@ -388,7 +388,7 @@ def settled(model: Model, actual: ModelWithErrors, held: dict[int, Float[Array, 
     # The search is not differentiated: its derivatives are those of the implicit function, taken at its result.
     loaded = jax.lax.stop_gradient(args)
     tested = is_tested(topology, held)
-    end, found, jacobian = _search(scaled, equations, given, (undeformed, guess), perfect, loaded, tested)
+    end, found, jacobian, stable = _search(scaled, equations, given, (undeformed, guess), perfect, loaded, tested)
 
     def tangent_solve(linear, value, inputs, end):
         scaled, (actual, _) = inputs
@@ -402,16 +402,15 @@ def settled(model: Model, actual: ModelWithErrors, held: dict[int, Float[Array, 
     position = with_displacements(actual, scaled.coordinates(unknowns))
     found = found & jnp.all(jnp.isfinite(unknowns))
     status = _status_of(actual, position, found, scaled.length)
-    return Settled(position, scaled.multipliers(unknowns), status, _tangent(scaled, jacobian, held, end))
+    return Settled(position, scaled.multipliers(unknowns), status, _tangent(scaled, jacobian, stable, end))
 
 
-def _tangent(scaled: _Scaled, jacobian: Array | None, held: Iterable[int], end: Array) -> Tangent | None:
+def _tangent(scaled: _Scaled, jacobian: Array | None, stable: Bool[Array, ""], end: Array) -> Tangent | None:
     """The tangent at the end of a search, None without a Jacobian."""
     if jacobian is None:
         return None
     rates = scaled.rates(end) if scaled.topology.balls else None
-    scales, free = (scaled.units, scaled.length, scaled.force), _free(scaled.topology, held)
-    return jax.lax.stop_gradient(tangent_of(scaled.topology, jacobian, free, rates, scales))
+    return jax.lax.stop_gradient(Tangent(jacobian, rates, scaled.units, scaled.length, scaled.force, stable))
 
 
 @kernel
@@ -461,20 +460,27 @@ def _search(
     perfect: tuple[ModelWithErrors, Array],
     loaded: tuple[ModelWithErrors, Array],
     tested: bool,
-) -> tuple[Array, Array, Array | None]:
-    """Unknowns under load, whether the search converged, and the Jacobian there if stability is `tested`, from the
-    undeformed start, first without and then with the held angles; `perfect` and `loaded`: args of the equations."""
+) -> tuple[Array, Array, Array | None, Bool[Array, ""]]:
+    """Unknowns under load, whether the search converged, the Jacobian there if stability is `tested`, and whether that
+    is known, so that no Jacobian is formed; from the undeformed start, first without and then with the held angles;
+    `perfect` and `loaded`: args of the equations."""
     topology, (undeformed, guess) = scaled.topology, starts
+    unknown = jnp.zeros((), bool)
     if topology.clearances:
         end, found = search_contact(equations, starts, perfect, loaded, (scaled.length, scaled.force))
         # That of the search has springs in the places of contacts.
-        return end, found, newton(equations, end, loaded, converged=True, with_jacobian=True)[2] if tested else None
+        jacobian = newton(equations, end, loaded, converged=True, with_jacobian=True)[2] if tested else None
+        return end, found, jacobian, unknown
     if topology.exact:
-        return load_steps(equations, undeformed, perfect, loaded, with_jacobian=tested)
+        return *load_steps(equations, undeformed, perfect, loaded, with_jacobian=tested), unknown
     if topology.minimum_norm or topology.massless:
-        return newton(equations, guess, loaded, with_jacobian=tested)
+        return *newton(equations, guess, loaded, with_jacobian=tested), unknown
+    disturbed = None
+    if tested and told_by_return(loaded[0]):
+        disturbed = ~np.isin(np.arange(guess.size), given) & (np.arange(guess.size) < scaled.units.size)
     constant = _preconditioner(scaled, given, perfect[0], undeformed)
-    return chord(equations, constant, _rows(scaled, perfect[0]), guess, loaded, with_jacobian=tested)
+    rows = _rows(scaled, perfect[0])
+    return chord(equations, constant, rows, guess, loaded, with_jacobian=tested, disturbed=disturbed)
 
 
 def _preconditioner(scaled: _Scaled, given: np.ndarray, actual: ModelWithErrors, unknowns: Array) -> Linear:

@@ -6,10 +6,10 @@ The Jacobian of the static equations, which the search has at its end, contains 
 move with the mechanism, and that of the multipliers of the closure equations (theory (6.12)). Coordinates are scaled by
 the square root of their own stiffness and that of the loads; in these units the smallest eigenvalue among the motions
 that the closure equations leave tells an unstable equilibrium from a motion without stiffness, of which rounding alone
-is left (theory (6.13), (6.14)).
+is left (theory (6.13), (6.14)). Where the search comes back from a disturbance, none of this is needed (theory (6.15)).
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 import jax
@@ -17,12 +17,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, PyTree
 
 from rfem_jax.mechanics.algebra.definiteness import constrained, lowest_direction, orthonormal_rows, positive
 from rfem_jax.mechanics.dynamics.energy_and_momentum import energies
 from rfem_jax.mechanics.dynamics.loads import JointLoads
-from rfem_jax.mechanics.laws.point_laws import GivenLoad
+from rfem_jax.mechanics.laws.point_laws import GivenLoad, PointLaw
 from rfem_jax.mechanics.model.model import State, Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
@@ -37,17 +37,35 @@ Numbers = Array | np.ndarray
 
 
 class Tangent(NamedTuple):
-    """The static equations linearised about an equilibrium, in the coordinates that are free (m of n), in units.
+    """The static equations linearised about an equilibrium, of n coordinates and c multipliers, scaled.
 
-    stiffness (m, m) and constraints (c, m), without those that springs take the place of; units (m,) [m, rad] of the
-    coordinates; length [m], force [N].
+    jacobian: its first rows are loads along joint coordinates, then forces on rfes with the opposite sign, then closure
+    equations; rates (n, n): of the coordinates by the unknowns, None if they are the same; units (n,) [m, rad] of the
+    coordinates; length [m], force [N]; stable: whether it is known to be stable, so that no Jacobian was formed.
     """
 
-    stiffness: Float[Array, "m m"]
-    constraints: Float[Array, "c m"]
-    units: Float[Array, " m"]
+    jacobian: Float[Array, "unknowns unknowns"]
+    rates: Float[Array, "n n"] | None
+    units: Float[Array, " n"]
     length: Float[Array, ""]
     force: Float[Array, ""]
+    stable: Bool[Array, ""]
+
+    def parts(self, topology: Topology) -> tuple[Float[Array, "n n"], Float[Array, "c n"]]:
+        """Stiffness, but for the signs of its rows, and constraints; springs of cut joints are eliminated, their rows
+        are zero."""
+        n, c = self.units.size, topology.n_constraints
+        rows, closing = self.jacobian[:n], self.jacobian[n:, :n]
+        if self.rates is not None:
+            rows = self.rates.T @ rows
+        stiffness = rows[:, :n]
+        sprung = np.array(topology.sprung_rows or (False,) * c, dtype=bool)
+        at = np.flatnonzero(sprung)
+        if at.size:
+            of_springs = jnp.linalg.solve(self.jacobian[np.ix_(n + at, n + at)], closing[at])
+            stiffness = stiffness - rows[:, n + at] @ of_springs
+            closing = jnp.where(sprung[:, None], 0.0, closing)
+        return stiffness, closing
 
 
 class Stability(NamedTuple):
@@ -82,48 +100,30 @@ def free_coordinates(topology: Topology, held: np.ndarray) -> np.ndarray:
     return np.setdiff1d(np.arange(topology.n_freedoms + 6 * topology.n_rfes), held)
 
 
-def tangent_of(
-    topology: Topology,
-    jacobian: Float[Array, "unknowns unknowns"],
-    free: np.ndarray,
-    rates: Float[Array, "n n"] | None,
-    scales: tuple[Float[Array, " n"], Float[Array, ""], Float[Array, ""]],
-) -> Tangent:
-    """The tangent of a Jacobian of the static equations; `rates`: of the coordinates by the scaled unknowns, None if
-    they are the same; scales: units of the coordinates, length and force."""
-    units, length, force = scales
-    n, c = units.size, topology.n_constraints
-    # Loads along joints stand on the one side of the equations, generalised forces of rfes on the other.
-    sign = jnp.asarray(np.where(np.arange(n) < topology.n_freedoms, 1.0, -1.0))[:, None]
-    rows = sign * jacobian[:n]
-    if rates is not None:
-        rows = rates.T @ rows
-    stiffness, closing = rows[:, :n], jacobian[n:, :n]
-    sprung = np.array(topology.sprung_rows or (False,) * c, dtype=bool)
-    at = np.flatnonzero(sprung)
-    if at.size:
-        of_springs = jnp.linalg.solve(jacobian[np.ix_(n + at, n + at)], closing[at])
-        stiffness = stiffness - rows[:, n + at] @ of_springs
-    return Tangent(
-        stiffness[np.ix_(free, free)], closing[np.ix_(np.flatnonzero(~sprung), free)], units[free], length, force
-    )
+def told_by_return(actual: ModelWithErrors) -> bool:
+    """Whether the chord method, where it leads back from a disturbance, tells that an equilibrium is stable (theory
+    (6.15)): its matrix and that of the equations have to be symmetric, and its own without negative stiffness."""
+    elements = [] if actual.frame_forces is None else actual.frame_forces.elements.values()
+    positive_ones = all(isinstance(one, PointLaw | GivenLoad) for one in elements)
+    return positive_ones and not actual.topology.balls and not _without_potential(actual)
 
 
 def stability_of(
     actual: ModelWithErrors, state: State, tangent: Tangent, free: np.ndarray, loads: JointLoads
 ) -> Stability:
     """Stability of the equilibrium `state`, whose joints carry `loads`."""
+    topology = actual.topology
     if not free.size:
-        return _moving(actual.topology, jnp.zeros(()), free, jnp.zeros(0))
+        return _moving(topology, jnp.zeros(()), jnp.zeros(tangent.units.size))
     actual, state, tangent, loads = jax.lax.stop_gradient((actual, state, tangent, loads))
-    zeros, unravel = ravel_pytree(state.velocity)
-    unstable, along = _softest(tangent, _load(tangent, loads), symmetric=not _without_potential(actual))
-    rates = unravel(zeros.at[free].set(tangent.units * along))
-    mass = 2.0 * energies(actual, State(state.position, rates)).kinetic
-    stiffness = (along @ tangent.stiffness @ along) * tangent.force * tangent.length
-    rate = jnp.sqrt(jnp.maximum(-stiffness, 0.0) / jnp.where(mass > 0.0, mass, 1.0))
-    growth = jnp.where(unstable, jnp.where(mass > 0.0, rate, jnp.inf), 0.0)
-    return _moving(actual.topology, growth, free, along)
+
+    def growth_along(work: Array, along: Array) -> Array:
+        mass = 2.0 * energies(actual, State(state.position, unravel(tangent.units * along))).kinetic
+        rate = jnp.sqrt(jnp.maximum(-work * tangent.force * tangent.length, 0.0) / jnp.where(mass > 0.0, mass, 1.0))
+        return jnp.where(mass > 0.0, rate, jnp.inf)
+
+    unravel, load = ravel_pytree(state.velocity)[1], _load(tangent, loads)
+    return _moving(topology, *_softest(topology, tangent, free, load, growth_along, not _without_potential(actual)))
 
 
 def _load(tangent: Tangent, loads: JointLoads) -> Float[Array, ""]:
@@ -132,27 +132,70 @@ def _load(tangent: Tangent, loads: JointLoads) -> Float[Array, ""]:
     return UNLOADED + (force + moment / tangent.length) / tangent.force
 
 
-def _softest(tangent: Tangent, load: Float[Array, ""], symmetric: bool) -> tuple[Bool[Array, ""], Float[Array, " m"]]:
-    """Whether a motion has a negative stiffness in scaled coordinates, and the one with the lowest, in units of the
-    coordinates, zero if not."""
-    root = 1.0 / jnp.sqrt(jnp.abs(jnp.diagonal(tangent.stiffness)) + load)
-    matrix = root[:, None] * tangent.stiffness * root[None]
-    scale = 1.0 + jnp.max(jnp.sum(jnp.abs(matrix), axis=1))
-    matrix = constrained(matrix / scale, orthonormal_rows(tangent.constraints * root[None]))
-    least, middle = UNSTABLE / scale, 0.5 * (matrix + matrix.T)
-    n = root.size
+def _softest(
+    topology: Topology,
+    tangent: Tangent,
+    free: np.ndarray,
+    load: Float[Array, ""],
+    growth_along: Callable[[Array, Array], Array],
+    symmetric: bool,
+) -> tuple[Float[Array, ""], Float[Array, " n"]]:
+    """Growth of the motion with the lowest stiffness in scaled coordinates, if that is negative, and this motion, in
+    units of the coordinates; zeros if not. `growth_along`: of twice the work along a motion, and this."""
+    n = tangent.units.size
+    nothing = jnp.zeros(()), jnp.zeros(n)
 
-    def found(matrix):
-        value, vector, left = lowest_direction(matrix)
-        # A pair of complex eigenvalues is flutter, which depends on damping.
-        diverging = True if symmetric else (value < -least) & (left <= REAL * jnp.abs(value))
-        return jnp.asarray(diverging), vector
+    def tested():
+        matrix, rows, root = scaled_parts(topology, tangent, free, load)
+        scale = 1.0 + jnp.max(jnp.sum(jnp.abs(matrix), axis=1))
+        original, matrix = matrix, constrained(matrix / scale, orthonormal_rows(rows))
+        least, middle = UNSTABLE / scale, 0.5 * (matrix + matrix.T)
+        matrix = middle if symmetric else matrix
 
-    # What has a positive symmetric part has no real eigenvalue that is negative. A search without result has none.
-    stable = positive(middle + least * jnp.eye(n)) | ~jnp.all(jnp.isfinite(matrix))
-    nothing = jnp.zeros((), bool), jnp.zeros(n)
-    unstable, vector = jax.lax.cond(stable, lambda _: nothing, found, middle if symmetric else matrix)
-    return unstable, vector * root
+        def found():
+            value, vector, left = lowest_direction(matrix)
+            # A pair of complex eigenvalues is flutter, which depends on damping.
+            diverging = jnp.asarray(symmetric) | ((value < -least) & (left <= REAL * jnp.abs(value)))
+            along = vector * root
+            work = vector @ original @ vector
+            return jnp.where(diverging, growth_along(work, along), 0.0), along
+
+        # What has a positive symmetric part has no real eigenvalue that is negative. A search without result has none.
+        stable = positive(middle, least) | ~jnp.all(jnp.isfinite(matrix))
+        return where_needed(~stable, found, nothing)
+
+    return where_needed(~tangent.stable, tested, nothing)
+
+
+def _signs(topology: Topology, n: int) -> np.ndarray:
+    """Loads along joints stand on the one side of the equations, generalised forces of rfes on the other."""
+    return np.where(np.arange(n) < topology.n_freedoms, 1.0, -1.0)
+
+
+def scaled_parts(
+    topology: Topology, tangent: Tangent, free: np.ndarray, load: Float[Array, ""]
+) -> tuple[Float[Array, "n n"], Float[Array, "c n"], Float[Array, " n"]]:
+    """Stiffness and constraints in scaled coordinates, and how much of its unit each of these is: zero of those that
+    are not `free`, which have a stiffness of one."""
+    stiffness, closing = tangent.parts(topology)
+    n = tangent.units.size
+    is_free = np.isin(np.arange(n), free)
+    root = jnp.where(is_free, 1.0 / jnp.sqrt(jnp.abs(jnp.diagonal(stiffness)) + load), 0.0)
+
+    def one_row(own):
+        values, k, sign, scale, held = own
+        return (sign * scale) * (root * values) + jnp.where(np.arange(n) == k, held, 0.0)
+
+    # By rows, since a kernel takes arrays apart where many of the factors are known.
+    own = stiffness, jnp.arange(n), jnp.asarray(_signs(topology, n)), root, jnp.where(is_free, 0.0, 1.0)
+    return jax.lax.map(one_row, own), closing * root[None], root
+
+
+def where_needed(needed: Bool[Array, ""], function: Callable[[], PyTree], otherwise: PyTree) -> PyTree:
+    """What a function returns where it is needed, in a loop that is not entered otherwise: a batch pays for it only if
+    one of its samples needs it."""
+    carry = jax.lax.while_loop(lambda carry: carry[0], lambda _: (jnp.zeros((), bool), function()), (needed, otherwise))
+    return carry[1]
 
 
 def _without_potential(actual: ModelWithErrors) -> bool:
@@ -165,9 +208,9 @@ def _without_potential(actual: ModelWithErrors) -> bool:
     )
 
 
-def _moving(topology: Topology, growth: Float[Array, ""], free: np.ndarray, along: Float[Array, " m"]) -> Stability:
-    """The stability with shares in the motion `along` of the free coordinates by joints and links."""
-    sizes = jnp.zeros(topology.n_freedoms + 6 * topology.n_rfes).at[free].set(jnp.abs(along))
+def _moving(topology: Topology, growth: Float[Array, ""], along: Float[Array, " n"]) -> Stability:
+    """The stability with shares in the motion `along` of the coordinates by joints and links."""
+    sizes = jnp.abs(along)
     largest = jnp.max(sizes, initial=0.0)
     sizes = jnp.where(growth > 0.0, sizes / jnp.where(largest > 0.0, largest, 1.0), 0.0)
     rfes = sizes[topology.n_freedoms :].reshape(6, topology.n_rfes)

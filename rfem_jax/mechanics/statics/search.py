@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float
 
@@ -31,6 +32,9 @@ BALANCING_SWEEPS = 4
 MAX_ITERATIONS = 50
 # With a constant matrix convergence is linear, so the last step must be down to rounding.
 CHORD_TOLERANCE, CHORD_ITERATIONS = 1e-14, 30
+# Of an equilibrium, in radian and lengths of the mechanism: small enough for axial forces that it brings about, which
+# go with the product of two of them. What is left of it may be in no direction that does not shrink.
+DISTURBANCE, RETURNED = 1e-5, 1e-8
 # The adjoint variables of the multipliers are as much larger than others as springs are stiff: all digits count.
 LINEAR_TOLERANCE, ADJOINT_TOLERANCE, LARGEST_LINEAR_ERROR, LINEAR_ITERATIONS = 1e-12, 1e-16, 1e-11, 40
 ITERATIONS_OF_A_STEP = 15
@@ -64,12 +68,14 @@ def chord(
     start: Float[Array, " n"],
     args: Any,
     with_jacobian: bool = False,
-) -> tuple[Float[Array, " n"], Bool[Array, ""], Float[Array, "n n"] | None]:
-    """Unknowns, whether the search converged, and the Jacobian there if wanted, by the chord method (Newton's with a
-    constant matrix, here `preconditioner` for its inverse), where that does not converge by Newton's method from the
-    start.
+    disturbed: Bool[np.ndarray, " n"] | None = None,
+) -> tuple[Float[Array, " n"], Bool[Array, ""], Float[Array, "n n"] | None, Bool[Array, ""]]:
+    """Unknowns, whether the search converged, the Jacobian there if wanted, and whether the method leads back there, by
+    the chord method (Newton's with a constant matrix, here `preconditioner` for its inverse), where that does not
+    converge by Newton's method from the start.
 
-    `rows`: sums of the absolute entries of the matrix by row, of an unloaded mechanism.
+    `rows`: sums of the absolute entries of the matrix by row, of an unloaded mechanism; `disturbed`: unknowns that are
+    changed a little, to see whether the chord method leads back (theory (6.15)); the Jacobian is not formed if so.
     """
     n = equations.n_coordinates
 
@@ -78,9 +84,24 @@ def chord(
         loaded = 1.0 + jnp.max(jnp.abs(unknowns[n:]), initial=0.0)
         return value, preconditioner(value), rows * loaded, None
 
-    near, converged, _ = iterate(n, start, CHORD_ITERATIONS, constant, tolerance=CHORD_TOLERANCE)
+    def search(carry, change):
+        place, going_on = carry
+        end, found, _ = iterate(n, place + change, CHORD_ITERATIONS, constant, ~going_on, tolerance=CHORD_TOLERANCE)
+        found = found & going_on
+        return (end, found), (end, found)
+
+    changes = jnp.zeros((1, start.size))
+    if disturbed is not None:
+        change = DISTURBANCE * np.random.default_rng(1).uniform(-1.0, 1.0, start.size)
+        changes = jnp.stack([changes[0], jnp.where(disturbed, change, 0.0)])
+    # Both searches are one loop, whose body is compiled once.
+    _, (ends, found) = jax.lax.scan(search, (start, jnp.ones((), bool)), changes)
+    near, converged, back = ends[0], found[0], jnp.zeros((), bool)
+    if disturbed is not None:
+        back = found[1] & (_size((ends[1] - near)[:n]) <= RETURNED * DISTURBANCE)
     start = jnp.where(converged, near, start)
-    return newton(equations, start, args, converged=converged, with_jacobian=with_jacobian)
+    end, converged, matrix = newton(equations, start, args, converged=converged, with_jacobian=with_jacobian and ~back)
+    return end, converged, matrix, back
 
 
 def solve_dense(equations: Equations, linear: Linear, value: Float[Array, " n"]) -> Float[Array, " n"]:
@@ -165,10 +186,11 @@ def newton(
     args: Any,
     iterations: int = MAX_ITERATIONS,
     converged: bool | Bool[Array, ""] = False,
-    with_jacobian: bool = False,
+    with_jacobian: bool | Bool[Array, ""] = False,
 ) -> tuple[Float[Array, " n"], Bool[Array, ""], Float[Array, "n n"] | None]:
     """Unknowns after Newton's method, whether it converged, and the Jacobian before its last step if wanted; if
-    `converged` is true at the start, the unknowns stay, and the Jacobian is that of the start."""
+    `converged` is true at the start, the unknowns stay, and the Jacobian is that of the start, zeros where an array
+    says that it is not wanted."""
 
     n = equations.n_coordinates
 
@@ -177,8 +199,8 @@ def newton(
         size = jnp.concatenate([jnp.ones(n), 1.0 + jnp.abs(unknowns[n:])])
         return value, equations.solve(jacobian, value), jnp.abs(jacobian) @ size, jacobian
 
-    matrix = jnp.zeros((start.size, start.size)) if with_jacobian else None
-    return iterate(n, start, iterations, present, converged, matrix=matrix)
+    matrix = None if with_jacobian is False else jnp.zeros((start.size, start.size))
+    return iterate(n, start, iterations, present, converged, matrix=matrix, wanted=with_jacobian)
 
 
 def iterate(
@@ -189,10 +211,11 @@ def iterate(
     found: bool | Array = False,
     tolerance: float = TOLERANCE,
     matrix: Array | None = None,
+    wanted: bool | Array = True,
 ) -> tuple[Array, Array, Array | None]:
     """Unknowns, `n` of them coordinates, after steps from `step_from` (unknowns -> residual, step, by how much a step
     of size one changes the residual, and a matrix), whether they converged, and the last matrix. With a `matrix` to
-    begin with, one is made even of what is `found`.
+    begin with, one is made even of what is `found`, where it is `wanted`.
 
     The last step must be small in the coordinates (multipliers follow them: their rounding is that
     of the stiffest spring), and the residual before it small in every row against the change by such a
@@ -202,7 +225,7 @@ def iterate(
     def going_on(carry):
         unknowns, converged, count, matrix = carry
         searching = ~converged & jnp.all(jnp.isfinite(unknowns)) & (count < iterations)
-        return searching if matrix is None else searching | (count == 0)
+        return searching if matrix is None else searching | (wanted & (count == 0))
 
     def improve(carry):
         unknowns, converged, count, matrix = carry
