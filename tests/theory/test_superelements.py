@@ -33,8 +33,11 @@ from rfem_jax import (
     simulate,
     static_loads,
 )
-from rfem_jax.mechanics.dynamics.loads import energies, momentum
+from rfem_jax.mechanics.dynamics.loads import base_wrench, energies, momentum, momentum_residual
+from rfem_jax.mechanics.implicit.residual import evaluate_residual
+from rfem_jax.mechanics.model.inputs import DriveInput
 from rfem_jax.mechanics.model.model import Coordinates, State
+from rfem_jax.mechanics.model.orientations import position_rate
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.simulation.vibration import Vibration
 from tests.derivatives import check_derivatives
@@ -292,6 +295,38 @@ def test_inertia_is_that_of_the_mass_points_to_first_order():
     assert counted.any() and (tenth[counted] < 0.012 * first[counted]).all()
 
 
+def test_loads_are_those_of_the_momenta_and_the_energy():
+    """In any motion, whether it obeys the equations or not, the base exerts the rate of the momenta, and all forces
+    that are left over do the work that the energies change by. Both hold for the linear energy without a remainder."""
+    *_, body = mass_points()
+    far = tuple(np.asarray(body.interfaces)[1].tolist())
+    part = Link("part", body=replace(body, damping=0.02), point_masses=[PointMass(0.1, far, (1e-3, 2e-3, 2e-3))])
+    joint = Joint("A", "base", "part", kind="free", position=(0.3, -0.2, 0.1))
+    model = discretise(Mechanism([part], [joint], gravity=(1.0, 2.0, -9.0)))
+    actual = apply_errors(model, assembly_errors(model))
+    topology = model.topology
+
+    @jax.jit
+    def gaps(position, velocity, accelerations):
+        state = State(position, velocity)
+        found = evaluate_residual(actual, state, accelerations, jnp.zeros(0), DriveInput(), 1.0)
+        base = base_wrench(topology, found.wrenches)
+        tangents = position_rate(topology, position, velocity), accelerations
+        _, power = jax.jvp(lambda *at: sum(energies(actual, State(*at))), (position, velocity), tangents)
+        elastic = jnp.concatenate([found.force, found.moment])
+        work = jnp.vdot(found.hinge, velocity.joints) + jnp.vdot(elastic, velocity.elastic) + found.dissipated
+        size = jnp.abs(found.hinge) @ jnp.abs(velocity.joints) + jnp.vdot(jnp.abs(elastic), jnp.abs(velocity.elastic))
+        momenta = jnp.concatenate(momentum_residual(actual, state, accelerations, base))
+        return jnp.abs(momenta).max() / jnp.abs(base).max(), jnp.abs(work + power) / size
+
+    random, start = np.random.default_rng(8), np.asarray(model.start_joints)
+    for _ in range(8):  # the generalised loads do not depend on the rates of the coordinates, all of which are tried
+        q, rates, second = random.normal(size=(3, 6, topology.n_rfes)) * [[[0.02]], [[1.0]], [[10.0]]]
+        joints, turned = random.normal(size=(2, topology.n_freedoms)) * [[3.0], [20.0]]
+        at = (start, q), (joints, rates), (turned, second)
+        assert max(gaps(*(Coordinates(*map(jnp.asarray, one)) for one in at))) < 1e-12
+
+
 def test_without_moments_interfaces_say_them():
     """Of a bar along x the linear field along it is one that its interfaces can have; fields across it are as its ends
     are joined by a straight line."""
@@ -399,3 +434,29 @@ def test_a_stiffness_of_the_wrong_sign_is_refused():
     body, _ = reduced(straight(0.3), (0, 24), 2)
     with pytest.raises(InputError, match="`stiffness` .* diagonal greater than 0"):
         ReducedBody(body.interfaces, body.mass, -np.asarray(body.stiffness))
+
+
+def test_a_mass_that_some_motion_lacks_is_refused():
+    """Rigid masses at interfaces, and matrices that lost digits, by which a motion has none, or less."""
+    body, _ = reduced(straight(0.3), (0, 24), 4)
+    mass, size = np.asarray(body.mass), np.sqrt(np.diag(body.mass))
+    values, vectors = np.linalg.eigh(mass / size[:, None] / size)
+    lost = mass - (values[0] + 5e-6) * np.outer(size * vectors[:, 0], size * vectors[:, 0])
+    by_interfaces = np.linalg.pinv(body.rigid_motions)
+    rigid = by_interfaces.T @ (body.rigid_motions.T @ mass @ body.rigid_motions) @ by_interfaces
+    rigid += np.diag(np.where(np.arange(16) < 12, 0.0, np.diag(mass)))
+    for wrong in (lost, rigid):
+        with pytest.raises(InputError, match="`mass` .* must be that of a body, but has an eigenvalue"):
+            ReducedBody(body.interfaces, wrong, body.stiffness)
+
+
+def test_moments_that_the_mass_does_not_have_are_refused():
+    *_, body = mass_points()
+    moments = np.asarray(body.moments)
+    apart = np.asarray(body.mass) @ body.rigid_motions[:, :3]  # of another origin
+    elsewhere = moments + np.einsum("a,nb->abn", [0.0, 0.1, 0.0], apart)
+    for wrong in (0.0 * moments, moments.swapaxes(0, 1), 1e-3 * moments, elsewhere):
+        with pytest.raises(InputError, match="`moments` .* angular momentum about the first interface"):
+            replace(body, moments=wrong)
+    with pytest.raises(InputError, match="`stiffness` of a reduced body must be n x n numbers"):
+        replace(body, stiffness=np.asarray(body.stiffness) * (1.0 + 0.02j))
