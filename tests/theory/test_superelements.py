@@ -40,7 +40,7 @@ from rfem_jax.mechanics.model.model import Coordinates, State
 from rfem_jax.mechanics.model.orientations import position_rate
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.simulation.vibration import Vibration
-from tests.derivatives import check_derivatives
+from tests.derivatives import check_derivatives, jacobians
 from tests.frames_of_beams import (
     AREA,
     DENSITY,
@@ -385,6 +385,35 @@ def test_derivatives(linkage):
     at, steps = np.array([1e-3, 1e-3, 1e-4, 0.0]), np.full(4, 1e-6)
     found = check_derivatives(loads, at, steps, reverse=1e-6, differences=1e-4, floor=1e-4)
     assert (np.abs(found.forward) > 0.0).all()
+
+
+def test_derivatives_without_errors_and_loads():
+    """At rest, where nothing is loaded and stresses, as all sizes of loads, are at the foot of a square root."""
+    part, _ = reduced(straight(0.3), (0, 24), 2)
+    rows = np.zeros((1, 6, len(part.mass)))
+    rows[0, 0], rows[0, 3] = np.asarray(part.stiffness)[4:6] * 1e6
+    part = replace(part, stresses=rows)
+
+    def link(name, length):
+        return Link(name, body=part) if name == "rocker" else Link(name, length, BEAM, rigid=True)
+
+    model = discretise(replace(four_bar(link), gravity=NOTHING))
+    names, units = ("D.d_y", "D.delta_x", "C.child.delta_z", "rocker.length"), np.array([1.0, 10.0, 10.0, 1.0])
+
+    def loads(numbers):
+        found = static_loads(model, dict(zip(names, numbers * units, strict=True)))
+        forces = [found.loads[name].force[0] for name in "BC"], [found.loads[name].moment[0] for name in "BC"]
+        return jnp.concatenate([*forces[0], *forces[1], 1e-6 * found.stress["rocker"].reshape(-1)])
+
+    at = np.zeros(4)
+    found = jacobians(loads, at, np.full(4, 1e-6))
+    sizes = np.abs(found.forward).max()
+    assert sizes > 1e5 and np.isfinite(found.forward).all()  # that of the stress may have either sign
+    np.testing.assert_allclose(found.reverse, found.forward, atol=1e-9 * sizes)
+    np.testing.assert_allclose(found.differences[:-1], found.forward[:-1], atol=1e-9 * sizes)
+    several = np.array([at, [1e-4, 0.0, 0.0, 0.0]])
+    alone = np.stack([jax.jit(loads)(one) for one in several])
+    np.testing.assert_allclose(jax.vmap(loads)(jnp.asarray(several)), alone, atol=1e-9 * np.abs(alone).max())
 
 
 def test_stresses_follow_from_moments():
