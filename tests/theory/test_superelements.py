@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rfem_jax import (
+    AxisPoint,
     DistributedForce,
     GeneralisedAlpha,
     GivenSection,
@@ -164,6 +165,29 @@ def test_modes_that_limit_steps_are_those_of_beams(linkage, of_rfes):
     )
     # The finite elements have no rotary inertia, which lowers the higher ones.
     np.testing.assert_allclose(found, extrapolated(coarse, fine), rtol=3e-3)
+
+
+def test_frequencies_of_a_bent_part_under_its_weight():
+    """A rocker of two legs, which its weight bends by 1 mrad: frequencies change as those of rfes, a little."""
+    end = ANGLE_FRAME[35]
+    body, _ = reduced(ANGLE_FRAME, (0, 20, 35), 6)
+    corner = [AxisPoint(tuple(ANGLE_FRAME[k].tolist())) for k in (20, 35)]
+    changes = []
+    for rocker in (Link("rocker", body=body), Link("rocker", section=BEAM, axis=corner, rfes=7)):
+        links = [Link("crank", 0.12, BEAM, rigid=True), Link("coupler", 0.3, BEAM, rigid=True), rocker]
+        joints = [
+            Joint("A", "base", "crank", angle=-np.pi / 2.0),
+            Joint("B", "crank", "coupler", angle=1.13),
+            Joint("D", "base", "rocker", position=(0.3, 0.0, 0.0), angle=-1.04),
+            Joint("C", "coupler", "rocker", cut=True, child_position=tuple(end.tolist())),
+        ]
+        model = discretise(Mechanism(links, joints, gravity=NOTHING, driven_joint="A"))
+        light, heavy = (
+            natural_frequencies(replace(model, gravity=jnp.array([0.0, 0.0, g])), count=5) for g in (0.0, -40.0)
+        )
+        assert light.status == 0 and heavy.status == 0 and np.abs(heavy.position.elastic).max() > 1e-3
+        changes.append(np.asarray(heavy.frequency / light.frequency)[[0, 2, 4]] - 1.0)
+    np.testing.assert_allclose(*changes, atol=5e-4)
 
 
 @pytest.mark.parametrize("modes", [0, 4])
