@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.linalg import eigh
+from scipy.spatial.transform import Rotation
 
 from rfem_jax import (
     AxisPoint,
@@ -156,6 +158,23 @@ def test_frequencies_of_a_cantilever():
     frequencies = found.frequency[:4]
     closed = np.repeat([1.8751041, 4.6940911], 2) ** 2 * np.sqrt(MODULUS * INERTIA / (DENSITY * AREA)) / 0.3**2
     np.testing.assert_allclose(frequencies, closed / (2.0 * np.pi), rtol=2e-4)
+
+
+def test_a_free_body_vibrates_as_its_matrices_say_in_any_axes_and_order():
+    """The same body turned, and with another interface first, whose frame the link has."""
+    body, _ = reduced(ANGLE_FRAME, (0, 20, 35), 2)
+    turn = Rotation.from_rotvec([0.4, -0.7, 1.1]).as_matrix()
+    axes = np.eye(len(body.mass))
+    axes[:18, :18] = np.kron(np.eye(6), turn)
+    order = np.r_[12:18, 0:12, 18:20]
+    arrays = [np.asarray(one) for one in (body.interfaces, body.mass, body.stiffness)]
+    turned = ReducedBody(arrays[0] @ turn.T, *(axes @ one @ axes.T for one in arrays[1:]))
+    other = ReducedBody(arrays[0][[2, 0, 1]], *(one[np.ix_(order, order)] for one in arrays[1:]))
+    squares = eigh(body.stiffness, body.mass, eigvals_only=True)[6:]
+    for one in (body, turned, other):
+        mechanism = Mechanism([Link("part", body=one)], [Joint("A", "base", "part", kind="free")], gravity=NOTHING)
+        found = natural_frequencies(discretise(mechanism), count=20).frequency[6:]
+        np.testing.assert_allclose(found, np.sqrt(squares) / (2.0 * np.pi), rtol=1e-7)
 
 
 def test_modes_that_limit_steps_are_those_of_beams(linkage, of_rfes):
