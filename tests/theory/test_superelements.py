@@ -460,12 +460,14 @@ def test_derivatives_without_errors_and_loads():
 
 
 def test_stresses_follow_from_moments():
-    """Stress at the clamp by rows of its moments: M / W."""
+    """Stress at the clamp by rows of its moments, M / W, at two places of it."""
     body, _ = reduced(straight(0.3), (0, 24), 4)
-    rows = np.zeros((1, 6, len(body.mass)))
+    rows = np.zeros((2, 6, len(body.mass)))
     rows[0, 0] = np.asarray(body.stiffness)[4] / (INERTIA / (WIDTH / 2.0))
     rows[0, 3] = 0.5 * rows[0, 0]
-    body = ReducedBody(body.interfaces, body.mass, body.stiffness, stresses=rows, stress_names=("clamp",))
+    rows[1, 1] = rows[1, 2] = 3.0 * rows[0, 0]
+    rows[1, 0] = 2.5 * rows[0, 0]  # a pressure but for a small part
+    body = ReducedBody(body.interfaces, body.mass, body.stiffness, stresses=rows, stress_names=("clamp", "other"))
     model = discretise(clamped(body, forces=[PointForce("push", "part", (0.3, 0.0, 0.0), (0.0, 0.0, 2.0))]))
     result = static_loads(model)
     direct = 2.0 * 0.3 / (INERTIA / (WIDTH / 2.0))
