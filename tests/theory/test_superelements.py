@@ -37,11 +37,13 @@ from rfem_jax import (
     static_loads,
 )
 from rfem_jax.mechanics.dynamics.loads import base_wrench, energies, momentum, momentum_residual
+from rfem_jax.mechanics.implicit.condensation import link_operators
 from rfem_jax.mechanics.implicit.residual import evaluate_residual
 from rfem_jax.mechanics.model.inputs import DriveInput
 from rfem_jax.mechanics.model.model import Coordinates, State
 from rfem_jax.mechanics.model.orientations import position_rate
 from rfem_jax.mechanics.model.with_errors import apply_errors
+from rfem_jax.simulation.modes import linearised
 from rfem_jax.simulation.vibration import Vibration
 from tests.derivatives import check_derivatives, jacobians
 from tests.frames_of_beams import (
@@ -60,6 +62,7 @@ from tests.mechanisms import link as steel_bar
 
 NOTHING = (0.0, 0.0, 0.0)
 ERRORS = {"D.d_y": 1e-3, "D.delta_x": np.radians(0.5)}
+DAMPING = 0.02  # s, of the body of mass points
 SLENDER = 1e3  # times the shear stiffness: the finite elements do not shear
 BEAM = GivenSection(
     axial_stiffness=MODULUS * AREA,
@@ -338,14 +341,20 @@ def test_inertia_is_that_of_the_mass_points_to_first_order():
     assert counted.any() and (tenth[counted] < 0.012 * first[counted]).all()
 
 
+def free_part():
+    """The body of mass points, with damping and a mass on an interface, and nothing that holds it."""
+    *_, body = mass_points()
+    far = tuple(np.asarray(body.interfaces)[1].tolist())
+    masses = [PointMass(0.1, far, (1e-3, 2e-3, 2e-3))]
+    part = Link("part", body=replace(body, damping=DAMPING), point_masses=masses)
+    joint = Joint("A", "base", "part", kind="free", position=(0.3, -0.2, 0.1))
+    return Mechanism([part], [joint], gravity=(1.0, 2.0, -9.0))
+
+
 def test_loads_are_those_of_the_momenta_and_the_energy():
     """In any motion, whether it obeys the equations or not, the base exerts the rate of the momenta, and all forces
     that are left over do the work that the energies change by. Both hold for the linear energy without a remainder."""
-    *_, body = mass_points()
-    far = tuple(np.asarray(body.interfaces)[1].tolist())
-    part = Link("part", body=replace(body, damping=0.02), point_masses=[PointMass(0.1, far, (1e-3, 2e-3, 2e-3))])
-    joint = Joint("A", "base", "part", kind="free", position=(0.3, -0.2, 0.1))
-    model = discretise(Mechanism([part], [joint], gravity=(1.0, 2.0, -9.0)))
+    model = discretise(free_part())
     actual = apply_errors(model, assembly_errors(model))
     topology = model.topology
 
@@ -368,6 +377,21 @@ def test_loads_are_those_of_the_momenta_and_the_energy():
         joints, turned = random.normal(size=(2, topology.n_freedoms)) * [[3.0], [20.0]]
         at = (start, q), (joints, rates), (turned, second)
         assert max(gaps(*(Coordinates(*map(jnp.asarray, one)) for one in at))) < 1e-12
+
+
+def test_a_body_is_condensed_as_its_whole_matrices():
+    """To its frame, in a step by which coordinates and rates follow accelerations: the Schur complement of M + s K."""
+    model = discretise(replace(free_part(), gravity=NOTHING))
+    actual, by_position, by_rate = apply_errors(model, assembly_errors(model)), 1e-6, 2e-5
+    start = Coordinates(jnp.asarray(model.start_joints), jnp.zeros((6, model.topology.n_rfes)))
+    whole = jax.jit(lambda at: linearised(actual, at, jnp.zeros(0), jnp.ones(())))(start)
+    frame, rest = np.arange(6), np.arange(6, 24)
+    system = np.asarray(whole.mass) + (by_position + DAMPING * by_rate) * np.asarray(whole.stiffness)
+    condensed = system[:6, :6] - system[np.ix_(frame, rest)] @ np.linalg.solve(system[6:, 6:], system[6:, :6])
+    (found,) = link_operators(actual, jnp.asarray(by_position), jnp.asarray(by_rate))
+    angles_first = np.roll(frame, 3)
+    wanted = condensed[np.ix_(angles_first, angles_first)]
+    np.testing.assert_allclose(found.inertia, wanted, atol=1e-10 * np.abs(wanted).max())
 
 
 def test_without_moments_interfaces_say_them():
