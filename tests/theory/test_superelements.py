@@ -37,6 +37,7 @@ from rfem_jax import (
     static_loads,
 )
 from rfem_jax.mechanics.dynamics.loads import base_wrench, energies, momentum, momentum_residual
+from rfem_jax.mechanics.elements.elasticity import dissipated_power
 from rfem_jax.mechanics.implicit.condensation import link_operators
 from rfem_jax.mechanics.implicit.residual import evaluate_residual
 from rfem_jax.mechanics.model.inputs import DriveInput
@@ -369,7 +370,8 @@ def test_loads_are_those_of_the_momenta_and_the_energy():
         work = jnp.vdot(found.hinge, velocity.joints) + jnp.vdot(elastic, velocity.elastic) + found.dissipated
         size = jnp.abs(found.hinge) @ jnp.abs(velocity.joints) + jnp.vdot(jnp.abs(elastic), jnp.abs(velocity.elastic))
         momenta = jnp.concatenate(momentum_residual(actual, state, accelerations, base))
-        return jnp.abs(momenta).max() / jnp.abs(base).max(), jnp.abs(work + power) / size
+        again = jnp.abs(dissipated_power(actual, state) / found.dissipated - 1.0)
+        return jnp.abs(momenta).max() / jnp.abs(base).max(), jnp.abs(work + power) / size, again
 
     random, start = np.random.default_rng(8), np.asarray(model.start_joints)
     for _ in range(8):  # the generalised loads do not depend on the rates of the coordinates, all of which are tried
