@@ -530,6 +530,14 @@ def test_what_is_off_the_interfaces_is_refused(linkage):
         Link("part", body=bar("part", 0.3).body, temperature=20.0)
 
 
+def test_a_rigid_body_has_no_stress():
+    body, _ = reduced(straight(0.3), (0, 24), 0)
+    body = replace(body, stresses=np.ones((1, 6, 12)))
+    joint = Joint("A", "base", "part", kind="fixed")
+    result = static_loads(discretise(Mechanism([Link("part", body=body, rigid=True)], [joint])))
+    assert result.status == 0 and "part" not in result.stress  # rather than zero
+
+
 def test_a_stiffness_of_the_wrong_sign_is_refused():
     body, _ = reduced(straight(0.3), (0, 24), 2)
     with pytest.raises(InputError, match="`stiffness` .* diagonal greater than 0"):
