@@ -121,7 +121,7 @@ class SectionHistory(eqx.Module):
         if self.edge is None:
             raise InputError(
                 "Argument `edge` of a section must be given for stresses, but is missing; write `edge_y`, `edge_z`, "
-                "`edge_modulus` and `torsion_modulus` into the section."
+                "`edge_modulus` and `torsion_modulus` into the section, or leave out stresses of rigid bodies."
             )
         return jnp.asarray(self.edge)
 

@@ -11,11 +11,13 @@ from scipy.io import mmwrite
 from scipy.sparse import coo_array
 
 from rfem_jax import (
+    AxisPoint,
     Interface,
     Joint,
     Link,
     Mechanism,
     Problem,
+    Rectangle,
     ReducedBody,
     RungeKutta4,
     Simulation,
@@ -28,6 +30,7 @@ from rfem_jax.compilation import keys
 from rfem_jax.description.bodies.body_files import read_matrices
 from rfem_jax.description.study_file import study_reader
 from rfem_jax.tolerancing.problems.kept_evaluations import known_content
+from tests.mechanisms import STEEL
 
 _read_body = study_reader._read_body
 
@@ -85,7 +88,20 @@ def test_what_is_written_is_read(body, tmp_path):
 def test_an_archive_in_other_units(body, tmp_path):
     np.savez(tmp_path / "bar.npz", **in_mm_and_t(body))
     assert_same(load_body(tmp_path / "bar.npz", units=MM), body)
-    assert load_body(tmp_path / "bar.npz", units=("mm", "t", "ms")).damping == pytest.approx(1e-8)
+    # Forces per 1 ms^2 are a million times those per 1 s^2.
+    faster = replace(body, stiffness=1e6 * body.stiffness, stresses=1e6 * body.stresses, damping=1e-8)
+    assert_same(load_body(tmp_path / "bar.npz", units=("mm", "t", "ms")), faster)
+
+
+def test_the_length_of_a_link_with_a_body_or_an_axis_may_be_said_in_any_unit(refused, body):
+    """It is known already: the same one is taken, another refused."""
+    along = np.hypot(0.3, 0.01)
+    bent = {"axis": [AxisPoint((0.3, 0.0, 0.01))], "section": Rectangle(0.01, 0.01), "material": STEEL}
+    for more in ({"body": body}, bent):
+        assert Link("bar", f"{1e3 * along} mm", **more).length == pytest.approx(along)
+        for wrong, words in (("310 mm", "left out"), ("310 kg", "a mass"), (0.31, "left out")):
+            with refused("`length`", words):
+                Link("bar", wrong, **more)
 
 
 @pytest.mark.parametrize("sparse", [True, False])

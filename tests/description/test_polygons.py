@@ -135,6 +135,7 @@ def test_without_the_package_a_sentence_says_what_is_missing(monkeypatch):
         ([(0, 0), (1, 0)], "at least three corners"),
         ([(0, 0), (1, 0), 3], "must be two numbers"),
         ([(0, 0), (1, 0), (2, 0)], "on one line"),
+        ([(0, 0), (1, 1), (1, 0), (0, 1)], "sides cross each other"),
         ([(0, 0), (1, 1), (1, 0), (0, 1.5)], "sides 1 and 3 do"),
         ([(0, 0), (1, 0), (1, 0), (0, 1)], "has no length"),
         ([(0, 0), (1, 0), (1, 2), (1, 1), (0, 1)], "sides 2 and 3 do"),

@@ -6,8 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.linalg import eigh
+from scipy.spatial.transform import Rotation
 
 from rfem_jax import (
+    AxisPoint,
     DistributedForce,
     GeneralisedAlpha,
     GivenSection,
@@ -33,11 +36,18 @@ from rfem_jax import (
     simulate,
     static_loads,
 )
-from rfem_jax.mechanics.dynamics.energy_and_momentum import energies, momentum
+from rfem_jax.mechanics.dynamics.energy_and_momentum import energies, momentum, momentum_residual
+from rfem_jax.mechanics.dynamics.loads import base_wrench
+from rfem_jax.mechanics.elements.elasticity import dissipated_power
+from rfem_jax.mechanics.implicit.condensation import link_operators
+from rfem_jax.mechanics.implicit.residual import evaluate_residual
+from rfem_jax.mechanics.model.inputs import DriveInput
 from rfem_jax.mechanics.model.model import Coordinates, State
+from rfem_jax.mechanics.model.orientations import position_rate
 from rfem_jax.mechanics.model.with_errors import apply_errors
+from rfem_jax.simulation.modes import linearised
 from rfem_jax.simulation.vibration import Vibration
-from tests.derivatives import check_derivatives
+from tests.derivatives import check_derivatives, jacobians
 from tests.frames_of_beams import (
     AREA,
     DENSITY,
@@ -54,6 +64,7 @@ from tests.mechanisms import link as steel_bar
 
 NOTHING = (0.0, 0.0, 0.0)
 ERRORS = {"D.d_y": 1e-3, "D.delta_x": np.radians(0.5)}
+DAMPING = 0.02  # s, of the body of mass points
 SLENDER = 1e3  # times the shear stiffness: the finite elements do not shear
 BEAM = GivenSection(
     axial_stiffness=MODULUS * AREA,
@@ -154,6 +165,23 @@ def test_frequencies_of_a_cantilever():
     np.testing.assert_allclose(frequencies, closed / (2.0 * np.pi), rtol=2e-4)
 
 
+def test_a_free_body_vibrates_as_its_matrices_say_in_any_axes_and_order():
+    """The same body turned, and with another interface first, whose frame the link has."""
+    body, _ = reduced(ANGLE_FRAME, (0, 20, 35), 2)
+    turn = Rotation.from_rotvec([0.4, -0.7, 1.1]).as_matrix()
+    axes = np.eye(len(body.mass))
+    axes[:18, :18] = np.kron(np.eye(6), turn)
+    order = np.r_[12:18, 0:12, 18:20]
+    arrays = [np.asarray(one) for one in (body.interfaces, body.mass, body.stiffness)]
+    turned = ReducedBody(arrays[0] @ turn.T, *(axes @ one @ axes.T for one in arrays[1:]))
+    other = ReducedBody(arrays[0][[2, 0, 1]], *(one[np.ix_(order, order)] for one in arrays[1:]))
+    squares = eigh(body.stiffness, body.mass, eigvals_only=True)[6:]
+    for one in (body, turned, other):
+        mechanism = Mechanism([Link("part", body=one)], [Joint("A", "base", "part", kind="free")], gravity=NOTHING)
+        found = natural_frequencies(discretise(mechanism), count=20).frequency[6:]
+        np.testing.assert_allclose(found, np.sqrt(squares) / (2.0 * np.pi), rtol=1e-7)
+
+
 def test_modes_that_limit_steps_are_those_of_beams(linkage, of_rfes):
     found, coarse, fine = (
         np.sqrt(np.sort(Vibration(model).modes(np.asarray(model.start_joints)).squares)[1:7])
@@ -161,6 +189,29 @@ def test_modes_that_limit_steps_are_those_of_beams(linkage, of_rfes):
     )
     # The finite elements have no rotary inertia, which lowers the higher ones.
     np.testing.assert_allclose(found, extrapolated(coarse, fine), rtol=3e-3)
+
+
+def test_frequencies_of_a_bent_part_under_its_weight():
+    """A rocker of two legs, which its weight bends by 1 mrad: frequencies change as those of rfes, a little."""
+    end = ANGLE_FRAME[35]
+    body, _ = reduced(ANGLE_FRAME, (0, 20, 35), 6)
+    corner = [AxisPoint(tuple(ANGLE_FRAME[k].tolist())) for k in (20, 35)]
+    changes = []
+    for rocker in (Link("rocker", body=body), Link("rocker", section=BEAM, axis=corner, rfes=7)):
+        links = [Link("crank", 0.12, BEAM, rigid=True), Link("coupler", 0.3, BEAM, rigid=True), rocker]
+        joints = [
+            Joint("A", "base", "crank", angle=-np.pi / 2.0),
+            Joint("B", "crank", "coupler", angle=1.13),
+            Joint("D", "base", "rocker", position=(0.3, 0.0, 0.0), angle=-1.04),
+            Joint("C", "coupler", "rocker", cut=True, child_position=tuple(end.tolist())),
+        ]
+        model = discretise(Mechanism(links, joints, gravity=NOTHING, driven_joint="A"))
+        light, heavy = (
+            natural_frequencies(replace(model, gravity=jnp.array([0.0, 0.0, g])), count=5) for g in (0.0, -40.0)
+        )
+        assert light.status == 0 and heavy.status == 0 and np.abs(heavy.position.elastic).max() > 1e-3
+        changes.append(np.asarray(heavy.frequency / light.frequency)[[0, 2, 4]] - 1.0)
+    np.testing.assert_allclose(*changes, atol=5e-4)
 
 
 @pytest.mark.parametrize("modes", [0, 4])
@@ -292,6 +343,60 @@ def test_inertia_is_that_of_the_mass_points_to_first_order():
     assert counted.any() and (tenth[counted] < 0.012 * first[counted]).all()
 
 
+def free_part():
+    """The body of mass points, with damping and a mass on an interface, and nothing that holds it."""
+    *_, body = mass_points()
+    far = tuple(np.asarray(body.interfaces)[1].tolist())
+    masses = [PointMass(0.1, far, (1e-3, 2e-3, 2e-3))]
+    part = Link("part", body=replace(body, damping=DAMPING), point_masses=masses)
+    joint = Joint("A", "base", "part", kind="free", position=(0.3, -0.2, 0.1))
+    return Mechanism([part], [joint], gravity=(1.0, 2.0, -9.0))
+
+
+def test_loads_are_those_of_the_momenta_and_the_energy():
+    """In any motion, whether it obeys the equations or not, the base exerts the rate of the momenta, and all forces
+    that are left over do the work that the energies change by. Both hold for the linear energy without a remainder."""
+    model = discretise(free_part())
+    actual = apply_errors(model, assembly_errors(model))
+    topology = model.topology
+
+    @jax.jit
+    def gaps(position, velocity, accelerations):
+        state = State(position, velocity)
+        found = evaluate_residual(actual, state, accelerations, jnp.zeros(0), DriveInput(), 1.0)
+        base = base_wrench(topology, found.wrenches)
+        tangents = position_rate(topology, position, velocity), accelerations
+        _, power = jax.jvp(lambda *at: sum(energies(actual, State(*at))), (position, velocity), tangents)
+        elastic = jnp.concatenate([found.force, found.moment])
+        work = jnp.vdot(found.hinge, velocity.joints) + jnp.vdot(elastic, velocity.elastic) + found.dissipated
+        size = jnp.abs(found.hinge) @ jnp.abs(velocity.joints) + jnp.vdot(jnp.abs(elastic), jnp.abs(velocity.elastic))
+        momenta = jnp.concatenate(momentum_residual(actual, state, accelerations, base))
+        again = jnp.abs(dissipated_power(actual, state) / found.dissipated - 1.0)
+        return jnp.abs(momenta).max() / jnp.abs(base).max(), jnp.abs(work + power) / size, again
+
+    random, start = np.random.default_rng(8), np.asarray(model.start_joints)
+    for _ in range(8):  # the generalised loads do not depend on the rates of the coordinates, all of which are tried
+        q, rates, second = random.normal(size=(3, 6, topology.n_rfes)) * [[[0.02]], [[1.0]], [[10.0]]]
+        joints, turned = random.normal(size=(2, topology.n_freedoms)) * [[3.0], [20.0]]
+        at = (start, q), (joints, rates), (turned, second)
+        assert max(gaps(*(Coordinates(*map(jnp.asarray, one)) for one in at))) < 1e-12
+
+
+def test_a_body_is_condensed_as_its_whole_matrices():
+    """To its frame, in a step by which coordinates and rates follow accelerations: the Schur complement of M + s K."""
+    model = discretise(replace(free_part(), gravity=NOTHING))
+    actual, by_position, by_rate = apply_errors(model, assembly_errors(model)), 1e-6, 2e-5
+    start = Coordinates(jnp.asarray(model.start_joints), jnp.zeros((6, model.topology.n_rfes)))
+    whole = jax.jit(lambda at: linearised(actual, at, jnp.zeros(0), jnp.ones(())))(start)
+    frame, rest = np.arange(6), np.arange(6, 24)
+    system = np.asarray(whole.mass) + (by_position + DAMPING * by_rate) * np.asarray(whole.stiffness)
+    condensed = system[:6, :6] - system[np.ix_(frame, rest)] @ np.linalg.solve(system[6:, 6:], system[6:, :6])
+    (found,) = link_operators(actual, jnp.asarray(by_position), jnp.asarray(by_rate))
+    angles_first = np.roll(frame, 3)
+    wanted = condensed[np.ix_(angles_first, angles_first)]
+    np.testing.assert_allclose(found.inertia, wanted, atol=1e-10 * np.abs(wanted).max())
+
+
 def test_without_moments_interfaces_say_them():
     """Of a bar along x the linear field along it is one that its interfaces can have; fields across it are as its ends
     are joined by a straight line."""
@@ -352,13 +457,44 @@ def test_derivatives(linkage):
     assert (np.abs(found.forward) > 0.0).all()
 
 
+def test_derivatives_without_errors_and_loads():
+    """At rest, where nothing is loaded and stresses, as all sizes of loads, are at the foot of a square root."""
+    part, _ = reduced(straight(0.3), (0, 24), 2)
+    rows = np.zeros((1, 6, len(part.mass)))
+    rows[0, 0], rows[0, 3] = np.asarray(part.stiffness)[4:6] * 1e6
+    part = replace(part, stresses=rows)
+
+    def link(name, length):
+        return Link(name, body=part) if name == "rocker" else Link(name, length, BEAM, rigid=True)
+
+    model = discretise(replace(four_bar(link), gravity=NOTHING))
+    names, units = ("D.d_y", "D.delta_x", "C.child.delta_z", "rocker.length"), np.array([1.0, 10.0, 10.0, 1.0])
+
+    def loads(numbers):
+        found = static_loads(model, dict(zip(names, numbers * units, strict=True)))
+        forces = [found.loads[name].force[0] for name in "BC"], [found.loads[name].moment[0] for name in "BC"]
+        return jnp.concatenate([*forces[0], *forces[1], 1e-6 * found.stress["rocker"].reshape(-1)])
+
+    at = np.zeros(4)
+    found = jacobians(loads, at, np.full(4, 1e-6))
+    sizes = np.abs(found.forward).max()
+    assert sizes > 1e5 and np.isfinite(found.forward).all()  # that of the stress may have either sign
+    np.testing.assert_allclose(found.reverse, found.forward, atol=1e-9 * sizes)
+    np.testing.assert_allclose(found.differences[:-1], found.forward[:-1], atol=1e-9 * sizes)
+    several = np.array([at, [1e-4, 0.0, 0.0, 0.0]])
+    alone = np.stack([jax.jit(loads)(one) for one in several])
+    np.testing.assert_allclose(jax.vmap(loads)(jnp.asarray(several)), alone, atol=1e-9 * np.abs(alone).max())
+
+
 def test_stresses_follow_from_moments():
-    """Stress at the clamp by rows of its moments: M / W."""
+    """Stress at the clamp by rows of its moments, M / W, at two places of it."""
     body, _ = reduced(straight(0.3), (0, 24), 4)
-    rows = np.zeros((1, 6, len(body.mass)))
+    rows = np.zeros((2, 6, len(body.mass)))
     rows[0, 0] = np.asarray(body.stiffness)[4] / (INERTIA / (WIDTH / 2.0))
     rows[0, 3] = 0.5 * rows[0, 0]
-    body = ReducedBody(body.interfaces, body.mass, body.stiffness, stresses=rows, stress_names=("clamp",))
+    rows[1, 1] = rows[1, 2] = 3.0 * rows[0, 0]
+    rows[1, 0] = 2.5 * rows[0, 0]  # a pressure but for a small part
+    body = ReducedBody(body.interfaces, body.mass, body.stiffness, stresses=rows, stress_names=("clamp", "other"))
     model = discretise(clamped(body, forces=[PointForce("push", "part", (0.3, 0.0, 0.0), (0.0, 0.0, 2.0))]))
     result = static_loads(model)
     direct = 2.0 * 0.3 / (INERTIA / (WIDTH / 2.0))
@@ -395,7 +531,41 @@ def test_what_is_off_the_interfaces_is_refused(linkage):
         Link("part", body=bar("part", 0.3).body, temperature=20.0)
 
 
+def test_a_rigid_body_has_no_stress():
+    body, _ = reduced(straight(0.3), (0, 24), 0)
+    body = replace(body, stresses=np.ones((1, 6, 12)))
+    joint = Joint("A", "base", "part", kind="fixed")
+    result = static_loads(discretise(Mechanism([Link("part", body=body, rigid=True)], [joint])))
+    assert result.status == 0 and "part" not in result.stress  # rather than zero
+
+
 def test_a_stiffness_of_the_wrong_sign_is_refused():
     body, _ = reduced(straight(0.3), (0, 24), 2)
     with pytest.raises(InputError, match="`stiffness` .* diagonal greater than 0"):
         ReducedBody(body.interfaces, body.mass, -np.asarray(body.stiffness))
+
+
+def test_a_mass_that_some_motion_lacks_is_refused():
+    """Rigid masses at interfaces, and matrices that lost digits, by which a motion has none, or less."""
+    body, _ = reduced(straight(0.3), (0, 24), 4)
+    mass, size = np.asarray(body.mass), np.sqrt(np.diag(body.mass))
+    values, vectors = np.linalg.eigh(mass / size[:, None] / size)
+    lost = mass - (values[0] + 5e-6) * np.outer(size * vectors[:, 0], size * vectors[:, 0])
+    by_interfaces = np.linalg.pinv(body.rigid_motions)
+    rigid = by_interfaces.T @ (body.rigid_motions.T @ mass @ body.rigid_motions) @ by_interfaces
+    rigid += np.diag(np.where(np.arange(16) < 12, 0.0, np.diag(mass)))
+    for wrong in (lost, rigid):
+        with pytest.raises(InputError, match="`mass` .* must be that of a body, but has an eigenvalue"):
+            ReducedBody(body.interfaces, wrong, body.stiffness)
+
+
+def test_moments_that_the_mass_does_not_have_are_refused():
+    *_, body = mass_points()
+    moments = np.asarray(body.moments)
+    apart = np.asarray(body.mass) @ body.rigid_motions[:, :3]  # of another origin
+    elsewhere = moments + np.einsum("a,nb->abn", [0.0, 0.1, 0.0], apart)
+    for wrong in (0.0 * moments, moments.swapaxes(0, 1), 1e-3 * moments, elsewhere):
+        with pytest.raises(InputError, match="`moments` .* angular momentum about the first interface"):
+            replace(body, moments=wrong)
+    with pytest.raises(InputError, match="`stiffness` of a reduced body must be n x n numbers"):
+        replace(body, stiffness=np.asarray(body.stiffness) * (1.0 + 0.02j))

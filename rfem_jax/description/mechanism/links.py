@@ -260,7 +260,7 @@ class Link(NumberTree, ChecksItself):
         self._take_length_along("axis", of)
 
     def _take_length_along(self, source: str, of: str) -> None:
-        along, given = self.curve.length, self.length
+        along, given = self.curve.length, None if self.length is None else _length(self.length, of)
         if given is not None and not (is_known(given, along) and abs(given / along - 1.0) < SAME_LENGTH):
             raise InputError(
                 f"Argument `length` {of} must be left out where `{source}` says where the link leads, but was "

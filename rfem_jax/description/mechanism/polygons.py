@@ -243,7 +243,10 @@ def _read_points(given: Any) -> tuple[Corner, ...]:
     points = [_read_corner(one, f"{where}, number {n},") for n, one in enumerate(given, start=1)]
     area, extent = _first_moments(points)[0], np.ptp(np.array(points), axis=0).max()
     if abs(area) <= _FLAT * extent**2:
-        raise InputError(f"Argument {where} must enclose an area, but all corners are on one line; move one.")
+        raise InputError(
+            f"Argument {where} must enclose an area, but all corners are on one line, or sides cross each other; put "
+            "the corners in order around the section."
+        )
     sides = list(zip(points, (*points[1:], points[0])))
     for i, one in enumerate(sides):
         for j in range(i + 1, len(sides)):

@@ -22,6 +22,7 @@ from rfem_jax.description.basics.numbers import NOT_NEGATIVE, Fields, read_numbe
 from rfem_jax.description.basics.units import short
 
 _SYMMETRY = 1e-5  # of the largest entry of both rows: files are written with six digits
+_MOMENTS = 0.05  # of the largest angular momentum of a row: nodes of beams turn, which is no moment
 _RIGID = 1e-4  # of the forces that the interfaces move by, in a motion that deforms nothing
 _LEAST = 1e-9  # of an eigenvalue, where the diagonal is 1
 SAME_PLACE = 1e-6  # of the largest distance of two interfaces
@@ -43,7 +44,8 @@ class ReducedBody(ChecksItself):
         stresses: (k, 6, N) [Pa] at k places by unit rows: xx, yy, zz, xy, yz, zx.
         stress_names: of these places.
     Raises:
-        InputError: shapes or signs are wrong, a matrix is not symmetric, or rigid motions exert forces.
+        InputError: shapes or signs are wrong, a matrix is not symmetric, rigid motions exert forces, some motion has no
+            inertia, or the moments are not those of the mass matrix.
     """
 
     interfaces: Float[np.ndarray, "n 3"] | Matrix
@@ -70,6 +72,8 @@ class ReducedBody(ChecksItself):
         checks.relation(("stresses", "stress_names"), self._check_names)
         if not checks.failed:
             checks.relation(("interfaces", "mass", "stiffness"), self._check_physics)
+        if not checks.failed and self.moments is not None:
+            checks.relation(("interfaces", "mass", "moments"), self._check_moments)
         if not checks.failed:  # the frame of the link begins in the first interface
             object.__setattr__(self, "interfaces", self.interfaces - np.asarray(self.interfaces)[:1])
 
@@ -132,7 +136,7 @@ class ReducedBody(ChecksItself):
                 "Argument `mass` of a reduced body must be one mass in all directions of a rigid motion, but is "
                 f"{short(np.diag(inertia)[:3].tolist())} kg along x, y and z; check the order of its rows and units."
             )
-        for name, matrix, least in (("mass", mass, 0), ("stiffness", stiffness, 6)):
+        for name, matrix, free in (("mass", mass, 0), ("stiffness", stiffness, 6)):
             if not (np.diag(matrix) > 0.0).all():
                 raise InputError(
                     f"Argument `{name}` of a reduced body must have a diagonal greater than 0, but has "
@@ -140,12 +144,26 @@ class ReducedBody(ChecksItself):
                 )
             scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
             values = np.linalg.eigvalsh(matrix / scale[:, None] / scale[None])
-            if values[0] < -_SYMMETRY or (least and values[least] <= _LEAST):
+            if values[0] < -_SYMMETRY or values[free] <= _LEAST:
                 raise InputError(
                     f"Argument `{name}` of a reduced body must be that of a body, but has an eigenvalue of "
-                    f"{values[0] if values[0] < -_SYMMETRY else values[least]:.2g} where its diagonal is 1"
-                    f"{', beside its six rigid motions' if least else ''}; give all rows with all their digits."
+                    f"{values[0] if values[0] < -_SYMMETRY else values[free]:.2g} where its diagonal is 1"
+                    f"{', beside its six rigid motions' if free else ''}; give all rows with all their digits."
                 )
+
+    def _check_moments(self) -> None:
+        """What the matrices know of the moments: those of the momentum about the first interface."""
+        mass, rigid, moments = np.asarray(self.mass), self.rigid_motions, np.asarray(self.moments)
+        turned = rigid[:, 3:].T @ mass
+        told = np.stack([moments[(k + 1) % 3, (k + 2) % 3] - moments[(k + 2) % 3, (k + 1) % 3] for k in range(3)])
+        size = np.sqrt(np.trace(rigid[:, 3:].T @ mass @ rigid[:, 3:]) * np.diag(mass))
+        apart = (np.abs(told - turned) / size).max()
+        if apart > _MOMENTS:
+            raise InputError(
+                "Argument `moments` of a reduced body must give the angular momentum about the first interface that "
+                f"its mass matrix has, but is {apart:.2g} of the largest apart; take x from the first interface, the "
+                "first axis for x and the second for the displacement, and the units of the matrices; or leave it out."
+            )
 
     @property
     def rigid_motions(self) -> Float[np.ndarray, "N 6"]:
@@ -214,7 +232,7 @@ def _array(given: Any, shape: tuple[int | None, ...], name: str) -> Any:
     """Return an array of floats with this shape, None for any length; else raise InputError."""
     words = " x ".join("n" if size is None else str(size) for size in shape)
     try:
-        found = np.array(given, dtype=float)
+        found = None if np.iscomplexobj(given) else np.array(given, dtype=float)
     except (TypeError, ValueError):
         found = None
     if found is None or found.ndim != len(shape) or any(a not in (None, b) for a, b in zip(shape, found.shape)):
