@@ -31,7 +31,7 @@ from rfem_jax import GeneralisedAlpha, PrescribedRate, Simulation, assembly_erro
 from rfem_jax.report.output import write_csv
 
 RATE = 300.0 * 2.0 * np.pi / 60.0  # rad/s
-DURATION, SAVED = 0.2, 0.01  # s: one turn
+SAVED = 0.01  # s
 RESTITUTION = 0.7
 STEP, TOLERANCE = 5e-4, 0.02  # s; of the parts that follow contacts
 QUANTILE = 0.95
@@ -39,16 +39,17 @@ QUANTILE = 0.95
 
 class Size(NamedTuple):
     """rfes of a flexible link, radial clearances [um], samples, and those at once, a divisor: the slowest of them holds
-    back the others."""
+    back the others; duration [s], 0.2 for one turn."""
 
     rfes: int
     clearances: tuple[float, ...]
     samples: int
     batch: int
+    duration: float
 
 
-FULL = Size(3, (0.0, 12.5, 25.0, 37.5, 50.0, 75.0, 100.0, 150.0), 32, 8)
-QUICK = Size(2, (0.0, 100.0), 2, 2)
+FULL = Size(3, (0.0, 12.5, 25.0, 37.5, 50.0, 75.0, 100.0, 150.0), 32, 8, 0.2)
+QUICK = Size(2, (0.0, 100.0), 2, 2, 0.1)
 
 
 class Found(NamedTuple):
@@ -64,8 +65,8 @@ class Found(NamedTuple):
 
 
 @eqx.filter_jit
-def of_batch(model, names, method, errors, radial) -> Found:
-    """One turn of every row of errors [rad, m] with a radial clearance [m]."""
+def of_batch(model, names, method, duration, errors, radial) -> Found:
+    """The motion of every row of errors [rad, m] with a radial clearance [m]."""
 
     def one(row):
         wanted = design(model, {f"{JOINT}.clearance.radial": radial, f"{JOINT}.clearance.axial": AXIAL * radial})
@@ -73,7 +74,7 @@ def of_batch(model, names, method, errors, radial) -> Found:
             Simulation(
                 model,
                 drive=PrescribedRate("A", RATE),
-                duration=DURATION,
+                duration=duration,
                 method=method,
                 save_every=SAVED,
                 design=wanted,
@@ -113,7 +114,9 @@ def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, required=True, help="folder for the table and the picture")
-    parser.add_argument("--quick", action="store_true", help=f"{len(QUICK.clearances)} clearances: a trial")
+    parser.add_argument(
+        "--quick", action="store_true", help=f"{len(QUICK.clearances)} clearances, half a turn: a trial"
+    )
     parser.add_argument("--finer", action="store_true", help="half the steps and the parts that follow contacts")
     options = parser.parse_args()
     size, start = QUICK if options.quick else FULL, time.monotonic()
@@ -132,7 +135,9 @@ def main() -> None:
         parts = [
             jax.tree.map(
                 np.asarray,
-                of_batch(model, tuple(case.errors), method, jnp.asarray(part), jnp.asarray(1e-6 * clearance)),
+                of_batch(
+                    model, tuple(case.errors), method, size.duration, jnp.asarray(part), jnp.asarray(1e-6 * clearance)
+                ),
             )
             for part in errors.reshape(-1, size.batch, len(most))
         ]
