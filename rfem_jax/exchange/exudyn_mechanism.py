@@ -24,7 +24,8 @@ from rfem_jax.mechanics.laws.friction_laws import Friction
 from rfem_jax.mechanics.laws.joint_laws import SpringLaw, TableLaw
 from rfem_jax.mechanics.laws.point_laws import ConstantVector, GivenLoad, SpringBetween
 from rfem_jax.mechanics.model.errors import AssemblyErrors
-from rfem_jax.mechanics.model.model import BASE, Model, State, Topology
+from rfem_jax.mechanics.model.model import Model, State
+from rfem_jax.mechanics.model.topology import BASE, Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors, apply_errors
 
 STEPS = 2000  # rows of a drive over the whole duration, at least

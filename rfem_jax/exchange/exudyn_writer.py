@@ -21,8 +21,8 @@ from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.exchange.exudyn_mechanism import drive_pieces, exudyn_numbers, require_translated
 from rfem_jax.mechanics.model.errors import assembly_errors
-from rfem_jax.mechanics.model.model import BASE
 from rfem_jax.mechanics.model.status import OK, STATUS
+from rfem_jax.mechanics.model.topology import BASE
 from rfem_jax.mechanics.statics.designs import designed, model_of_study
 from rfem_jax.simulation.integration import prepare
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.mechanics.dynamics.centre_lines import Bodies
-from rfem_jax.mechanics.model.model import Topology
+from rfem_jax.mechanics.model.topology import Topology
 
 
 @dataclass(frozen=True)

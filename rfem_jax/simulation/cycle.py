@@ -28,7 +28,8 @@ from rfem_jax.description.drives.rotations import PrescribedRate
 from rfem_jax.mechanics.dynamics.point_paths import PointMotion
 from rfem_jax.mechanics.laws.point_laws import changing
 from rfem_jax.mechanics.model.errors import Errors, errors_of
-from rfem_jax.mechanics.model.model import Model, State, Topology
+from rfem_jax.mechanics.model.model import Model, State
+from rfem_jax.mechanics.model.topology import Topology
 from rfem_jax.mechanics.statics.designs import Design, designed
 from rfem_jax.simulation import integration
 from rfem_jax.simulation.conclusion import Conclusion, run_of_design

@@ -30,7 +30,8 @@ from rfem_jax.description.drives.rotations import GivenDrive, PrescribedDrive, T
 from rfem_jax.mechanics.laws.frame_forces import Time as Instant
 from rfem_jax.mechanics.laws.point_laws import breakpoints_of, changing, rows_of
 from rfem_jax.mechanics.model.inputs import DriveInput
-from rfem_jax.mechanics.model.model import Model, Topology
+from rfem_jax.mechanics.model.model import Model
+from rfem_jax.mechanics.model.topology import Topology
 from rfem_jax.mechanics.statics.designs import Design
 
 

@@ -23,8 +23,9 @@ from rfem_jax.mechanics.implicit.condensation import LinkOperator
 from rfem_jax.mechanics.kinematics.motion import Motion
 from rfem_jax.mechanics.kinematics.slender_links import completed_state
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation, impose
-from rfem_jax.mechanics.model.model import Coordinates, Model, State, Topology
+from rfem_jax.mechanics.model.model import Coordinates, Model, State
 from rfem_jax.mechanics.model.orientations import position_rate
+from rfem_jax.mechanics.model.topology import Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 from rfem_jax.simulation.driving import ActiveDrives
 

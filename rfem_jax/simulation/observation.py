@@ -25,7 +25,8 @@ from rfem_jax.mechanics.kinematics.cut_joints import Closure, Constraints
 from rfem_jax.mechanics.kinematics.motion import Motion, by_freedom, range_used
 from rfem_jax.mechanics.laws.clearances import clearance_name
 from rfem_jax.mechanics.model.inputs import DriveInput
-from rfem_jax.mechanics.model.model import Coordinates, State, Topology
+from rfem_jax.mechanics.model.model import Coordinates, State
+from rfem_jax.mechanics.model.topology import Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.equations import Integrals

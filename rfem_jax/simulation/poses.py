@@ -22,7 +22,8 @@ from rfem_jax.description.study_file.statics import DIMENSIONS_OF
 from rfem_jax.mechanics.laws.couplings import RatioTransmission, Transmission
 from rfem_jax.mechanics.model import nominal_geometry as nominal
 from rfem_jax.mechanics.model.discretisation import CLOSING_TOLERANCE, close_at
-from rfem_jax.mechanics.model.model import Model, Topology
+from rfem_jax.mechanics.model.model import Model
+from rfem_jax.mechanics.model.topology import Topology
 
 LARGEST_MOVE = 0.2  # rad, or share of the longest link, between two poses of which one is sought from the other
 DEAD_CENTRE = 1e-6  # share of the largest singular value of the loops' Jacobian: sine of the angle of a crank, about

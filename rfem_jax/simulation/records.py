@@ -41,8 +41,9 @@ from rfem_jax.mechanics.dynamics.section_loads import (
     stress_squares,
 )
 from rfem_jax.mechanics.kinematics.motion import Motion
-from rfem_jax.mechanics.model.model import BASE, Model, State, Topology
+from rfem_jax.mechanics.model.model import Model, State
 from rfem_jax.mechanics.model.superelements import TENSOR_ROWS
+from rfem_jax.mechanics.model.topology import BASE, Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 from rfem_jax.simulation.equations import Numbers, safe_sqrt
 from rfem_jax.simulation.observation import Instant

@@ -34,7 +34,7 @@ from rfem_jax.mechanics.laws.frame_forces import START, FrameForce, Pose
 from rfem_jax.mechanics.laws.friction_laws import Friction
 from rfem_jax.mechanics.laws.joint_laws import JointLaw, law_derivatives
 from rfem_jax.mechanics.laws.joint_springs import CompliantSpring, diagonal_tangent
-from rfem_jax.mechanics.model.model import BASE, Model
+from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.nominal_geometry import (
     NominalGeometry,
     Placed,
@@ -45,6 +45,7 @@ from rfem_jax.mechanics.model.nominal_geometry import (
     offset,
     place,
 )
+from rfem_jax.mechanics.model.topology import BASE
 from rfem_jax.simulation.vibration_matrices import (
     deformation_rates,
     mass_matrices,

@@ -17,9 +17,10 @@ from scipy.sparse.linalg import splu
 
 from rfem_jax.compilation.program import Program
 from rfem_jax.mechanics.model.errors import assembly_errors
-from rfem_jax.mechanics.model.model import Model, Topology
+from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.nominal_geometry import cross_matrix
 from rfem_jax.mechanics.model.superelements import Superelement
+from rfem_jax.mechanics.model.topology import Topology
 from rfem_jax.mechanics.model.with_errors import apply_errors
 
 SMALLEST_INERTIA = 1e-15  # of a body, over its mass times the square of the longest link

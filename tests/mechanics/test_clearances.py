@@ -12,7 +12,7 @@ from rfem_jax.mechanics.algebra.vectors import product, rotation_x, rotation_y, 
 from rfem_jax.mechanics.laws.clearances import ContactMemory, pin_in_bush
 from rfem_jax.mechanics.laws.contact_law import ContactLaw, chi_of_restitution, distance, sliding_share
 from rfem_jax.mechanics.laws.frame_forces import START, NodeFrame, Pose
-from rfem_jax.mechanics.model.model import BASE
+from rfem_jax.mechanics.model.topology import BASE
 
 BASE_FRAME = NodeFrame(BASE, jnp.eye(3), jnp.zeros(3))
 FULL = {"radial": 1e-4, "axial": 2e-4, "length": 0.02, "stiffness": 3e9, "axial_stiffness": 2e7, "axial_exponent": 1.0}

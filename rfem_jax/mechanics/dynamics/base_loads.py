@@ -14,7 +14,8 @@ from jaxtyping import Float
 from rfem_jax.mechanics.algebra.vectors import cross, wrench_at_origin
 from rfem_jax.mechanics.forces.element_loads import FrameLoads
 from rfem_jax.mechanics.laws.point_laws import GivenLoad
-from rfem_jax.mechanics.model.model import BASE, Model
+from rfem_jax.mechanics.model.model import Model
+from rfem_jax.mechanics.model.topology import BASE
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 

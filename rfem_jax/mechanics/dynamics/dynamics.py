@@ -44,7 +44,8 @@ from rfem_jax.mechanics.kinematics.cut_joints import Closure, closure, unit_colu
 from rfem_jax.mechanics.kinematics.motion import Motion, by_freedom, motion_of, node_frames, spread, total
 from rfem_jax.mechanics.kinematics.self_stress import Redundancy, inverse_closure, redundancy
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation
-from rfem_jax.mechanics.model.model import BASE, Coordinates, State, Topology
+from rfem_jax.mechanics.model.model import Coordinates, State
+from rfem_jax.mechanics.model.topology import BASE, Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 

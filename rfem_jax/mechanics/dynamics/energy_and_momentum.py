@@ -26,8 +26,9 @@ from rfem_jax.mechanics.kinematics.cut_joints import cut_spring_energy
 from rfem_jax.mechanics.kinematics.motion import Motion, all_frames, motion_of, spread
 from rfem_jax.mechanics.laws.joint_laws import TableLaw
 from rfem_jax.mechanics.laws.point_laws import TableBetween
-from rfem_jax.mechanics.model.model import Coordinates, Model, State, Topology
+from rfem_jax.mechanics.model.model import Coordinates, Model, State
 from rfem_jax.mechanics.model.orientations import position_rate
+from rfem_jax.mechanics.model.topology import Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 

@@ -14,7 +14,7 @@ from rfem_jax.mechanics.algebra.vectors import apply, apply_transposed
 from rfem_jax.mechanics.dynamics.loads import JointLoads
 from rfem_jax.mechanics.kinematics.cut_joints import Closure
 from rfem_jax.mechanics.kinematics.motion import Motion, all_frames
-from rfem_jax.mechanics.model.model import BASE, Topology
+from rfem_jax.mechanics.model.topology import BASE, Topology
 
 # What they are in words, as meanings of quantities have them.
 AXES = {

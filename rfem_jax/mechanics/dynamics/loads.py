@@ -38,7 +38,8 @@ from rfem_jax.mechanics.kinematics.motion import Motion, spread, total
 from rfem_jax.mechanics.kinematics.self_stress import least_reactions, redundancy
 from rfem_jax.mechanics.laws.clearances import clearance_name
 from rfem_jax.mechanics.model.inputs import DriveInput
-from rfem_jax.mechanics.model.model import BASE, Coordinates, State, Topology
+from rfem_jax.mechanics.model.model import Coordinates, State
+from rfem_jax.mechanics.model.topology import BASE, Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 

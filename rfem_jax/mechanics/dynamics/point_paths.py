@@ -15,7 +15,7 @@ from jaxtyping import Float
 from rfem_jax.mechanics.algebra.vectors import apply, apply_transposed, cross, transposed_product
 from rfem_jax.mechanics.dynamics.energy_and_momentum import reference_velocities
 from rfem_jax.mechanics.kinematics.motion import Motion, all_frames
-from rfem_jax.mechanics.model.model import BASE
+from rfem_jax.mechanics.model.topology import BASE
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 

@@ -33,8 +33,9 @@ from rfem_jax.mechanics.forces.element_loads import FrameLoads
 from rfem_jax.mechanics.forces.shaped_lines import shaped_line
 from rfem_jax.mechanics.laws.clearances import clearance_name
 from rfem_jax.mechanics.model.form import bodies_of, point_inertia, segments_of
-from rfem_jax.mechanics.model.model import BASE, Model, State
+from rfem_jax.mechanics.model.model import Model, State
 from rfem_jax.mechanics.model.superelements import TENSOR_ROWS
+from rfem_jax.mechanics.model.topology import BASE
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors, point_places
 
 COUPLED_ROWS = 12  # of the edge of a coupled section: stresses and shear stresses by six loads

@@ -20,7 +20,8 @@ from rfem_jax.mechanics.laws.clearances import (
     clearance_name,
 )
 from rfem_jax.mechanics.laws.contact_law import ROUNDING, distance
-from rfem_jax.mechanics.model.model import Model, Topology
+from rfem_jax.mechanics.model.model import Model
+from rfem_jax.mechanics.model.topology import Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 CONTACT_NAMES = ("start", "end", "axial")  # of the pin: at -length/2 and +length/2 of its axis, and in its middle

@@ -19,7 +19,7 @@ from rfem_jax.mechanics.forces.shaped_lines import shaped_line
 from rfem_jax.mechanics.kinematics.motion import Motion, node_frames
 from rfem_jax.mechanics.laws.frame_forces import START, FrameForce, Pose, Time, pose_between
 from rfem_jax.mechanics.laws.line_loads import LineLoad
-from rfem_jax.mechanics.model.model import BASE, Topology, rfe_fractions
+from rfem_jax.mechanics.model.topology import BASE, Topology, rfe_fractions
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 

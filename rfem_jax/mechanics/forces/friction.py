@@ -22,7 +22,8 @@ from rfem_jax.mechanics.forces.joint_forces import CutForces, FrictionState, Law
 from rfem_jax.mechanics.kinematics.cut_joints import Closure
 from rfem_jax.mechanics.kinematics.motion import Motion, node_frames
 from rfem_jax.mechanics.laws.friction_laws import Friction
-from rfem_jax.mechanics.model.model import BASE, Model, State, Topology
+from rfem_jax.mechanics.model.model import Model, State
+from rfem_jax.mechanics.model.topology import BASE, Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 FrictionStates = dict[str, FrictionState]

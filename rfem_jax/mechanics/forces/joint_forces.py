@@ -25,7 +25,8 @@ from rfem_jax.mechanics.kinematics.motion import Motion
 from rfem_jax.mechanics.laws.couplings import CouplingLaw, Meshing
 from rfem_jax.mechanics.laws.joint_springs import CompliantSpring, diagonal_tangent
 from rfem_jax.mechanics.model.inputs import DriveInput
-from rfem_jax.mechanics.model.model import Coordinates, State, Topology
+from rfem_jax.mechanics.model.model import Coordinates, State
+from rfem_jax.mechanics.model.topology import Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 # Forces [N, N m] by cut joint, counted among these, and component: 0 to 2 of the force along the axes of L, 3 to 5 of

@@ -39,7 +39,7 @@ from rfem_jax.mechanics.algebra.vectors import (
 )
 from rfem_jax.mechanics.implicit.condensation import LinkOperator, root_inertia
 from rfem_jax.mechanics.kinematics.motion import Motion
-from rfem_jax.mechanics.model.model import BASE, Topology
+from rfem_jax.mechanics.model.topology import BASE, Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 

@@ -38,8 +38,8 @@ from rfem_jax.mechanics.algebra.vectors import apply, product, product_transpose
 from rfem_jax.mechanics.elements import elasticity, exact_elements
 from rfem_jax.mechanics.kinematics.motion import RelativeMotion
 from rfem_jax.mechanics.kinematics.slender_links import unit_rates
-from rfem_jax.mechanics.model.model import Topology
 from rfem_jax.mechanics.model.superelements import Superelement
+from rfem_jax.mechanics.model.topology import Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 

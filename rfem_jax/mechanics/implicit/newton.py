@@ -47,7 +47,8 @@ from rfem_jax.mechanics.implicit.residual import Residual
 from rfem_jax.mechanics.kinematics.cut_joints import Closure, unit_columns
 from rfem_jax.mechanics.kinematics.motion import Motion
 from rfem_jax.mechanics.kinematics.self_stress import inverse_closure, redundancy
-from rfem_jax.mechanics.model.model import BASE, Coordinates, Topology
+from rfem_jax.mechanics.model.model import Coordinates
+from rfem_jax.mechanics.model.topology import BASE, Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 

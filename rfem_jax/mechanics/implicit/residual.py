@@ -36,7 +36,8 @@ from rfem_jax.mechanics.kinematics.motion import Motion, by_freedom, motion_of, 
 from rfem_jax.mechanics.kinematics.self_stress import redundancy
 from rfem_jax.mechanics.kinematics.slender_links import completed, projected
 from rfem_jax.mechanics.model.inputs import DriveInput
-from rfem_jax.mechanics.model.model import BASE, Coordinates, State, Topology
+from rfem_jax.mechanics.model.model import Coordinates, State
+from rfem_jax.mechanics.model.topology import BASE, Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 ROUNDING = 2e-13  # of a position over the longest link, with a margin for sums

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from rfem_jax.mechanics.algebra.vectors import cross, dot
 from rfem_jax.mechanics.kinematics.cut_joints import Closure
 from rfem_jax.mechanics.kinematics.motion import Motion
-from rfem_jax.mechanics.model.model import BASE, Topology
+from rfem_jax.mechanics.model.topology import BASE, Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 

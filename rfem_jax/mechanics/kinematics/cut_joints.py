@@ -29,7 +29,7 @@ from rfem_jax.mechanics.algebra.vectors import Scalar, apply, apply_transposed, 
 from rfem_jax.mechanics.kinematics.ideal_couplings import CouplingRows
 from rfem_jax.mechanics.kinematics.motion import Motion, node_frames
 from rfem_jax.mechanics.laws.joint_springs import CompliantSpring, diagonal_tangent
-from rfem_jax.mechanics.model.model import Topology
+from rfem_jax.mechanics.model.topology import Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 

@@ -25,8 +25,9 @@ from rfem_jax.mechanics.algebra.reordering import repeat, sum_groups
 from rfem_jax.mechanics.algebra.vectors import apply, columns, cross, product, scaled
 from rfem_jax.mechanics.kinematics.ideal_couplings import CouplingRows, coupling_rows
 from rfem_jax.mechanics.kinematics.slender_links import completed_state
-from rfem_jax.mechanics.model.model import BASE, Coordinates, State, Topology
+from rfem_jax.mechanics.model.model import Coordinates, State
 from rfem_jax.mechanics.model.orientations import rotation_of
+from rfem_jax.mechanics.model.topology import BASE, Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 LINEAR_LIMIT = np.radians(60.0)

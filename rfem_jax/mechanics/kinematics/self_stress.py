@@ -25,8 +25,8 @@ from jaxtyping import Float
 from rfem_jax.mechanics.algebra.vectors import cross, invert_positive, pseudo_inverse
 from rfem_jax.mechanics.kinematics.cut_joints import Closure
 from rfem_jax.mechanics.kinematics.motion import Motion
-from rfem_jax.mechanics.model.model import Topology
 from rfem_jax.mechanics.model.nominal_geometry import SMALLEST_SINGULAR_VALUE
+from rfem_jax.mechanics.model.topology import Topology
 
 
 class Redundancy(NamedTuple):

@@ -1,6 +1,7 @@
 """A mechanism as arrays: from what is specified to the constants of the equations of motion.
 
-model               Model, State, Coordinates, Topology; summary: a model in words
+topology            Topology: what does not change with the numbers
+model               Model, State, Coordinates; summary: a model in words
 building            description -> Model; places: what is on which rfe, and where; acting_laws: the forces
 discretisation      its loops closed at the start, rank and mobility
 nominal_geometry    the perfect mechanism in NumPy: does it close, rank, mobility; with nominal_path, start_freedoms,

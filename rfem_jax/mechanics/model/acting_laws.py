@@ -24,9 +24,10 @@ from rfem_jax.mechanics.laws.joint_laws import JointLaw, joint_law
 from rfem_jax.mechanics.laws.joint_springs import CompliantSpring, compliant_spring
 from rfem_jax.mechanics.laws.line_loads import LineLoad, line_load
 from rfem_jax.mechanics.laws.point_laws import load_at, spring_between
-from rfem_jax.mechanics.model.model import BASE, CarriedPoint, Topology
+from rfem_jax.mechanics.model.model import CarriedPoint
 from rfem_jax.mechanics.model.places import DividedLinks, node_place
 from rfem_jax.mechanics.model.sources import ForceNodes
+from rfem_jax.mechanics.model.topology import BASE, Topology
 
 
 def joint_laws(parts: Parts, topology: Topology) -> dict[str, JointLaw]:

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.description.basics.errors import InputError
-from rfem_jax.mechanics.model.model import BASE, Model, Topology
+from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.nominal_geometry import (
     NominalGeometry,
     Placed,
@@ -31,6 +31,7 @@ from rfem_jax.mechanics.model.nominal_geometry import (
     null_space,
     place,
 )
+from rfem_jax.mechanics.model.topology import BASE, Topology
 
 STARTS = 24  # from which loops are closed with given values as they are, and as many with these changed, too
 SAME = 1e-4  # distance of joints in two ways to close that are one, of the longest link

@@ -36,13 +36,14 @@ from rfem_jax.mechanics.model.acting_laws import (
     springs,
 )
 from rfem_jax.mechanics.model.form import QUARTER, Attached, form_of, require_turned
-from rfem_jax.mechanics.model.model import BASE, Model, Sections, Topology
+from rfem_jax.mechanics.model.model import Model, Sections
 from rfem_jax.mechanics.model.named_points import with_named_points
 from rfem_jax.mechanics.model.orientations import quaternion_of_angles
 from rfem_jax.mechanics.model.places import Attachment, DividedLinks, all_masses, masses_of, node_place, place_on
 from rfem_jax.mechanics.model.profiles import profile_of, taper_of
 from rfem_jax.mechanics.model.sources import ForceNodes, source_of
 from rfem_jax.mechanics.model.superelements import TENSOR_ROWS, Superelement, reduced_link, superelement_of
+from rfem_jax.mechanics.model.topology import BASE, Topology
 from rfem_jax.mechanics.model.warmth import warmed
 
 

@@ -20,7 +20,7 @@ from rfem_jax.mechanics.laws.joint_laws import holds
 from rfem_jax.mechanics.laws.point_laws import PointLaw
 from rfem_jax.mechanics.model.assembly_modes import Closed, chosen_closure, given_coordinates, is_far
 from rfem_jax.mechanics.model.building import build_model, reaction_length
-from rfem_jax.mechanics.model.model import BASE, Model, Topology, at_closing
+from rfem_jax.mechanics.model.model import Model, at_closing
 from rfem_jax.mechanics.model.nominal_geometry import (
     NominalGeometry,
     Placed,
@@ -39,6 +39,7 @@ from rfem_jax.mechanics.model.normal_loads import require_unique_normal_loads
 from rfem_jax.mechanics.model.planar_loops import model_reactions_text, reactions_across
 from rfem_jax.mechanics.model.sources import CLOSING_TOLERANCE, RIGID_CLOSING_TOLERANCE
 from rfem_jax.mechanics.model.start_freedoms import with_start_freedoms
+from rfem_jax.mechanics.model.topology import BASE, Topology
 from rfem_jax.mechanics.model.warmth import growths
 
 SMALLEST_DISTANCE = 1e-9  # of two points with a force between them, of the longest link

@@ -21,8 +21,9 @@ from rfem_jax.description.basics.errors import InputError, suggestion
 from rfem_jax.description.basics.units import quantity
 from rfem_jax.description.tolerances.error_catalogue import BOWS, NO_BOW, error_dimension
 from rfem_jax.mechanics.algebra.reordering import rows
-from rfem_jax.mechanics.model.model import Model, Topology
+from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.planar_loops import require_closable
+from rfem_jax.mechanics.model.topology import Topology
 
 HALF_TURN = np.pi * (1.0 + 1e-12)  # rad
 

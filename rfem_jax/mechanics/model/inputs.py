@@ -12,7 +12,8 @@ from jaxtyping import Float
 
 from rfem_jax.mechanics.algebra.vectors import Scalar
 from rfem_jax.mechanics.laws.frame_forces import Time
-from rfem_jax.mechanics.model.model import Coordinates, State, Topology
+from rfem_jax.mechanics.model.model import Coordinates, State
+from rfem_jax.mechanics.model.topology import Topology
 
 
 class DriveInput(NamedTuple):

@@ -11,7 +11,8 @@ from dataclasses import replace
 import jax.numpy as jnp
 
 from rfem_jax.description.mechanism.points import END, START, NamedPoint, link_end
-from rfem_jax.mechanics.model.model import BASE, CarriedPoint, Model, Topology
+from rfem_jax.mechanics.model.model import CarriedPoint, Model
+from rfem_jax.mechanics.model.topology import BASE, Topology
 
 
 def with_named_points(model: Model, names: Iterable[str]) -> Model:

@@ -19,7 +19,8 @@ from jaxtyping import Float
 
 from rfem_jax.description.basics.joint_kinds import JointKind
 from rfem_jax.mechanics.laws.couplings import CouplingLaw
-from rfem_jax.mechanics.model.model import BASE, Model, Topology
+from rfem_jax.mechanics.model.model import Model
+from rfem_jax.mechanics.model.topology import BASE, Topology
 
 SMALLEST_SINGULAR_VALUE = 1e-6  # of rows with lengths over the longest link: what is below says nothing
 

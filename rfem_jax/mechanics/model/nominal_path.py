@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from rfem_jax.mechanics.model.model import Model, Topology
+from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.nominal_geometry import (
     NominalGeometry,
     Placed,
@@ -27,6 +27,7 @@ from rfem_jax.mechanics.model.nominal_geometry import (
     place,
     shortest,
 )
+from rfem_jax.mechanics.model.topology import Topology
 
 ITERATIONS = 12
 CLOSED = 1e-9  # of the longest link, or rad

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.mechanics.laws.friction_laws import Friction
-from rfem_jax.mechanics.model.model import BASE, Model, Topology
+from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.nominal_geometry import (
     NominalGeometry,
     Placed,
@@ -23,6 +23,7 @@ from rfem_jax.mechanics.model.nominal_geometry import (
     null_space,
     place,
 )
+from rfem_jax.mechanics.model.topology import BASE, Topology
 
 UNIQUE = 1e-7  # share of a reaction across an axis that counts as none
 

@@ -18,7 +18,8 @@ from jaxtyping import Float
 
 from rfem_jax.mechanics.algebra import vectors
 from rfem_jax.mechanics.algebra.vectors import cross, dot
-from rfem_jax.mechanics.model.model import Coordinates, Topology
+from rfem_jax.mechanics.model.model import Coordinates
+from rfem_jax.mechanics.model.topology import Topology
 
 SERIES = 1e-3  # of the squared angle, below which the exponential is a power series
 

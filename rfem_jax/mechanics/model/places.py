@@ -12,8 +12,8 @@ from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.basics.numbers import Number, array_of
 from rfem_jax.description.mechanism.links import Link
 from rfem_jax.description.mechanism.reduced_bodies import SAME_PLACE, ReducedBody
-from rfem_jax.mechanics.model.model import BASE, Topology
 from rfem_jax.mechanics.model.superelements import rigid_part
+from rfem_jax.mechanics.model.topology import BASE, Topology
 
 
 class Mass(NamedTuple):

@@ -17,8 +17,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from rfem_jax.description.basics.errors import InputError
-from rfem_jax.mechanics.model.model import Model, Topology
+from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.nominal_geometry import closure_jacobian, geometry_of, null_space, place
+from rfem_jax.mechanics.model.topology import Topology
 
 SHARE = 0.2
 DEPENDENT = 1e-6  # a motion of one of size one

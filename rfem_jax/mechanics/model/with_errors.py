@@ -38,8 +38,9 @@ from rfem_jax.mechanics.model.form import (
     shaped,
     wave,
 )
-from rfem_jax.mechanics.model.model import BASE, CarriedPoint, Model, Topology
+from rfem_jax.mechanics.model.model import CarriedPoint, Model
 from rfem_jax.mechanics.model.superelements import Superelement
+from rfem_jax.mechanics.model.topology import BASE, Topology
 
 
 class FrameForceSet(eqx.Module):

@@ -29,7 +29,8 @@ from rfem_jax.mechanics.laws.frame_forces import START, NodeFrame, Pose
 from rfem_jax.mechanics.laws.joint_laws import SpringLaw
 from rfem_jax.mechanics.laws.joint_springs import CompliantSpring
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation
-from rfem_jax.mechanics.model.model import BASE, Coordinates, State, Topology, rfe_fractions
+from rfem_jax.mechanics.model.model import Coordinates, State
+from rfem_jax.mechanics.model.topology import BASE, Topology, rfe_fractions
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 NOT_MOVED: Any = np.eye(4)  # the transform of the base

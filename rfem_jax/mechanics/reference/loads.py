@@ -16,7 +16,8 @@ from jaxtyping import Float
 from rfem_jax.mechanics.algebra.vectors import Scalar, cross
 from rfem_jax.mechanics.laws.friction_laws import Friction
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation
-from rfem_jax.mechanics.model.model import BASE, Coordinates, State, Topology
+from rfem_jax.mechanics.model.model import Coordinates, State
+from rfem_jax.mechanics.model.topology import BASE, Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 from rfem_jax.mechanics.reference.formulation import (
     element_wrenches,

@@ -52,7 +52,7 @@ from rfem_jax.mechanics.kinematics.self_stress import redundancy
 from rfem_jax.mechanics.kinematics.slender_links import projected, with_displacements
 from rfem_jax.mechanics.model.errors import AssemblyErrors, Errors, assembly_errors, errors_of
 from rfem_jax.mechanics.model.inputs import DriveInput
-from rfem_jax.mechanics.model.model import Coordinates, Model, State, Topology, length_scale
+from rfem_jax.mechanics.model.model import Coordinates, Model, State, length_scale
 from rfem_jax.mechanics.model.orientations import moved, rates_of
 from rfem_jax.mechanics.model.sources import RIGID_CLOSING_TOLERANCE
 from rfem_jax.mechanics.model.status import (
@@ -65,6 +65,7 @@ from rfem_jax.mechanics.model.status import (
     UNSTABLE,
     WRONG_SIDE,
 )
+from rfem_jax.mechanics.model.topology import Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors, apply_errors
 from rfem_jax.mechanics.statics.contact import search_contact
 from rfem_jax.mechanics.statics.designs import Design, designed, status_of

@@ -36,10 +36,11 @@ from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.model.building import PartStructure, arrays_of
 from rfem_jax.mechanics.model.discretisation import discretise
 from rfem_jax.mechanics.model.errors import AssemblyErrors, assembly_errors, require_errors_of, require_possible
-from rfem_jax.mechanics.model.model import BASE, Model, Topology, at_closing
+from rfem_jax.mechanics.model.model import Model, at_closing
 from rfem_jax.mechanics.model.planar_loops import require_closable
 from rfem_jax.mechanics.model.sources import NOTHING, Blueprint, Source
 from rfem_jax.mechanics.model.status import DESIGN_OUT_OF_RANGE, NOT_CLOSED, OK, STATUS
+from rfem_jax.mechanics.model.topology import BASE, Topology
 from rfem_jax.mechanics.model.warmth import growths
 from rfem_jax.mechanics.statics.start_closure import close_start
 

@@ -23,7 +23,8 @@ from rfem_jax.mechanics.algebra.definiteness import constrained, lowest_directio
 from rfem_jax.mechanics.dynamics.energy_and_momentum import energies
 from rfem_jax.mechanics.dynamics.loads import JointLoads
 from rfem_jax.mechanics.laws.point_laws import GivenLoad, PointLaw
-from rfem_jax.mechanics.model.model import State, Topology
+from rfem_jax.mechanics.model.model import State
+from rfem_jax.mechanics.model.topology import Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 # Of the stiffness in scaled coordinates. Columns of 64 rfes that a load exceeds by a thousandth are at -1e-7, what

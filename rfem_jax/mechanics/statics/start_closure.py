@@ -29,8 +29,9 @@ from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.kinematics.cut_joints import Closure, closure
 from rfem_jax.mechanics.kinematics.motion import motion_of
 from rfem_jax.mechanics.model.errors import assembly_errors
-from rfem_jax.mechanics.model.model import Coordinates, Model, Topology, length_scale
+from rfem_jax.mechanics.model.model import Coordinates, Model, length_scale
 from rfem_jax.mechanics.model.orientations import moved
+from rfem_jax.mechanics.model.topology import Topology
 from rfem_jax.mechanics.model.with_errors import apply_errors
 
 STEPS = 8  # in which the geometry goes from the nominal one to that of the design

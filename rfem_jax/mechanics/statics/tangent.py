@@ -24,7 +24,8 @@ from rfem_jax.mechanics.implicit.newton import IterationMatrix, iteration_matrix
 from rfem_jax.mechanics.implicit.residual import Residual
 from rfem_jax.mechanics.kinematics.cut_joints import closure
 from rfem_jax.mechanics.kinematics.motion import motion_of
-from rfem_jax.mechanics.model.model import Coordinates, Topology
+from rfem_jax.mechanics.model.model import Coordinates
+from rfem_jax.mechanics.model.topology import Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 # Springs over inertia, by the stiffness of a link and the mass of all.  The larger, the smaller the residual of a

@@ -22,7 +22,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from rfem_jax.mechanics.model.model import BASE
+from rfem_jax.mechanics.model.topology import BASE
 from rfem_jax.report.annotations import Run
 from rfem_jax.report.page.acting import ACTING, acting_arrays, describe_acting, owner_of
 from rfem_jax.report.page.packing import Packed, pack_integers, some_rows

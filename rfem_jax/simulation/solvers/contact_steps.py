@@ -24,7 +24,8 @@ from jaxtyping import Array, Float, Int, PyTree
 from rfem_jax.mechanics.forces.bush_contacts import pins_of
 from rfem_jax.mechanics.forces.element_loads import element_pose
 from rfem_jax.mechanics.kinematics.motion import motion_of
-from rfem_jax.mechanics.model.model import BASE, State
+from rfem_jax.mechanics.model.model import State
+from rfem_jax.mechanics.model.topology import BASE
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 from rfem_jax.simulation.equations import Scalar, Trajectory
 from rfem_jax.simulation.solvers.implicit_step import Following, Memory
