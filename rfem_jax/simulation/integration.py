@@ -37,8 +37,9 @@ from rfem_jax.mechanics.model.status import (
     OK,
 )
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors, apply_errors
-from rfem_jax.mechanics.statics.assembly import held_angles, settled_in_motion, stability, static_loads
+from rfem_jax.mechanics.statics.assembly import held_angles, static_loads
 from rfem_jax.mechanics.statics.equilibrium_stability import Stability
+from rfem_jax.mechanics.statics.settling import settled_in_motion, stability
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.balances import checks_of
 from rfem_jax.simulation.batches import with_batch_axes

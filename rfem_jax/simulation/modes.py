@@ -32,12 +32,13 @@ from rfem_jax.mechanics.implicit.residual import evaluate_residual
 from rfem_jax.mechanics.kinematics.slender_links import with_displacements
 from rfem_jax.mechanics.model.errors import AssemblyErrors, Errors, errors_of
 from rfem_jax.mechanics.model.inputs import DriveInput
-from rfem_jax.mechanics.model.model import Coordinates, Model, State
+from rfem_jax.mechanics.model.model import Coordinates, Model, State, length_scale
 from rfem_jax.mechanics.model.orientations import moved
 from rfem_jax.mechanics.model.topology import Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors, apply_errors
-from rfem_jax.mechanics.statics.assembly import checked_hold, equilibrium, held_angles, length_scale
+from rfem_jax.mechanics.statics.assembly import checked_hold, held_angles
 from rfem_jax.mechanics.statics.designs import Design, designed, status_of
+from rfem_jax.mechanics.statics.settling import equilibrium
 from rfem_jax.simulation.driving import require_masses
 from rfem_jax.simulation.equations import safe_sqrt
 

@@ -8,8 +8,7 @@ Phi'' + 2 rate Phi' + rate^2 Phi = 0, critically damped.
 
 from rfem_jax.description.methods import Method
 from rfem_jax.mechanics.model.inputs import Stabilisation
-from rfem_jax.mechanics.model.model import Model
-from rfem_jax.mechanics.statics.assembly import length_scale
+from rfem_jax.mechanics.model.model import Model, length_scale
 
 STABILISATION = 0.02  # rate times step
 ADAPTIVE_STABILISATION_RATE = 1e3  # 1/s

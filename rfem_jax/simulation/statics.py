@@ -44,17 +44,11 @@ from rfem_jax.mechanics.model.errors import AssemblyErrors, Errors, assembly_err
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.model.model import Coordinates, Model, State, length_scale
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors, apply_errors
-from rfem_jax.mechanics.statics.assembly import (
-    Load,
-    closed_at_rest,
-    moving_equilibrium,
-    settled,
-    stability,
-    start_values,
-    status_at_rest,
-)
+from rfem_jax.mechanics.statics.assembly import Load, closed_at_rest
 from rfem_jax.mechanics.statics.designs import Design, designed, status_of
 from rfem_jax.mechanics.statics.equilibrium_stability import Stability
+from rfem_jax.mechanics.statics.settling import moving_equilibrium, settled, stability, status_at_rest
+from rfem_jax.mechanics.statics.static_equations import start_values
 from rfem_jax.simulation.conclusion import LoadSummary, ball_angles, joint_coordinates, load_metrics
 from rfem_jax.simulation.equations import Numbers, safe_sqrt, squares
 from rfem_jax.simulation.observation import coupling_histories, energy_at, solved_instant

@@ -26,7 +26,8 @@ from rfem_jax.mechanics.model.discretisation import discretise
 from rfem_jax.mechanics.model.errors import assembly_errors
 from rfem_jax.mechanics.model.model import Coordinates, Model, State
 from rfem_jax.mechanics.model.with_errors import apply_errors
-from rfem_jax.mechanics.statics.assembly import held_angles, moving_equilibrium
+from rfem_jax.mechanics.statics.assembly import held_angles
+from rfem_jax.mechanics.statics.settling import moving_equilibrium
 from rfem_jax.simulation import Run, Simulation, simulate
 
 # The section of a link whose mass is that of bodies on it: next to nothing.

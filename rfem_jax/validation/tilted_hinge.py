@@ -25,9 +25,8 @@ from rfem_jax.mechanics.kinematics.cut_joints import closure
 from rfem_jax.mechanics.kinematics.motion import motion_of
 from rfem_jax.mechanics.model.discretisation import discretise
 from rfem_jax.mechanics.model.errors import assembly_errors
-from rfem_jax.mechanics.model.model import Model
+from rfem_jax.mechanics.model.model import Model, length_scale
 from rfem_jax.mechanics.model.with_errors import apply_errors
-from rfem_jax.mechanics.statics.assembly import length_scale
 from rfem_jax.simulation import STATUS, Run, Simulation, run_cases, simulate
 from rfem_jax.validation.lines import Curve, Line, Outcome, Picture, Progress, absolute, relative, same
 from rfem_jax.validation.reference_values import read_reference

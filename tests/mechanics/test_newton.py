@@ -27,8 +27,9 @@ from rfem_jax.mechanics.implicit.newton import increment_and_wrenches, iteration
 from rfem_jax.mechanics.implicit.residual import Residual, evaluate_residual, residual_of
 from rfem_jax.mechanics.kinematics.motion import relative_motion
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation, impose
+from rfem_jax.mechanics.model.model import length_scale
 from rfem_jax.mechanics.model.with_errors import apply_errors
-from rfem_jax.mechanics.statics.assembly import equilibrium, length_scale
+from rfem_jax.mechanics.statics.settling import equilibrium
 from tests.mechanisms import chain_of_kinds, four_bar, twisted_spatial_loop, two_loop_six_bar
 
 PAIRS = [(four_bar, True), (twisted_spatial_loop, False), (two_loop_six_bar, False), (chain_of_kinds, True)]

@@ -12,9 +12,9 @@ from rfem_jax import Coordinates, InputError, assembly_errors, describe, discret
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.kinematics.cut_joints import closure
 from rfem_jax.mechanics.kinematics.motion import motion_of
+from rfem_jax.mechanics.model.model import length_scale
 from rfem_jax.mechanics.model.nominal_geometry import closure_jacobian, gaps, geometry_of, place
 from rfem_jax.mechanics.model.with_errors import apply_errors
-from rfem_jax.mechanics.statics.assembly import length_scale
 from rfem_jax.report.overview import count_lines
 from tests.mechanisms import link, twisted_spatial_loop, two_loop_six_bar
 

@@ -9,7 +9,7 @@ import pytest
 from rfem_jax import Coordinates, Joint, Mechanism, assembly_errors, discretise
 from rfem_jax.mechanics.model.status import NOT_ASSEMBLED, OK
 from rfem_jax.mechanics.model.with_errors import apply_errors
-from rfem_jax.mechanics.statics import assembly, search
+from rfem_jax.mechanics.statics import search, settling, static_equations
 from tests.mechanisms import four_bar, link, some_errors, twisted_spatial_loop
 
 
@@ -24,7 +24,7 @@ def equilibria(make):
 
     def at(share, rotation):
         actual = apply_errors(model, jax.tree.map(lambda x: share * x, errors))
-        *found, status = assembly.equilibrium(model, actual, {0: model.start_joints[0] + rotation})
+        *found, status = settling.equilibrium(model, actual, {0: model.start_joints[0] + rotation})
         return found, status
 
     return at
@@ -63,12 +63,12 @@ def test_recursion_alone_finds_the_equilibrium_and_its_derivatives(make, monkeyp
         assert status == OK
     with monkeypatch.context() as patch:
         patch.setattr(
-            assembly,
+            settling,
             "chord",
             lambda equations, preconditioner, rows, *place, **options: (*search.newton(equations, *place), False),
         )
         patch.setattr(
-            assembly,
+            settling,
             "solve_linear",
             lambda equations, preconditioner, *rest: search.solve_dense(equations, *rest),
         )
@@ -87,19 +87,19 @@ def test_the_preconditioner_is_nearly_exact(make, most, rounding):
     and rounding, which grows as inertia becomes small, and has as many negative eigenvalues as closure equations."""
     model = discretise(make())
     actual = eqx.tree_at(lambda r: r.gravity, apply_errors(model, assembly_errors(model)), jnp.zeros(3))
-    scaled = assembly._scaled(model, actual)
+    scaled = static_equations.scaled_unknowns(model, actual)
     start = scaled.unknowns(model.start_coordinates(), jnp.zeros(model.topology.n_constraints))
     given = np.array([0])
 
     def residual(unknowns):
         position, multipliers = scaled.coordinates(unknowns), scaled.multipliers(unknowns)
-        hinge, *others = assembly._static_residual(actual, position, multipliers, scaled.length)
+        hinge, *others = static_equations.static_residual(actual, position, multipliers, scaled.length)
         value = scaled.residual(Coordinates(hinge, others[0]), others[1])
         return value.at[given].set(unknowns[given])
 
     @jax.jit
     def iteration():
-        preconditioner = assembly._preconditioner(scaled, given, actual, start)
+        preconditioner = settling._preconditioner(scaled, given, actual, start)
         by_columns = jax.vmap(preconditioner, 1, 1)
         return jnp.eye(start.size) - by_columns(jax.jacfwd(residual)(start)), by_columns(jnp.eye(start.size))
 
@@ -120,7 +120,7 @@ def test_where_the_recursion_does_not_converge_the_jacobian_does(monkeypatch):
 
     def at(gravity):
         loaded = eqx.tree_at(lambda r: r.gravity, actual, gravity)
-        position, _, status = assembly.equilibrium(model, loaded, {})
+        position, _, status = settling.equilibrium(model, loaded, {})
         return position.joints[0], status
 
     @jax.jit
@@ -147,10 +147,10 @@ def test_rates_of_a_start_that_moves_are_those_of_equilibria():
 
     @jax.jit
     def moving(angle):
-        return assembly.moving_equilibrium(model, actual, {0: angle}, {0: jnp.asarray(30.0)})
+        return settling.moving_equilibrium(model, actual, {0: angle}, {0: jnp.asarray(30.0)})
 
     def resting(angle):
-        return assembly.equilibrium(model, actual, {0: angle})
+        return settling.equilibrium(model, actual, {0: angle})
 
     angle, step = model.start_joints[0], 1e-5
     state, multipliers, status = moving(angle)

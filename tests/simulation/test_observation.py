@@ -11,8 +11,8 @@ from rfem_jax.mechanics.dynamics.loads import static_state
 from rfem_jax.mechanics.kinematics.branches import assembly_modes
 from rfem_jax.mechanics.kinematics.cut_joints import closure
 from rfem_jax.mechanics.kinematics.motion import motion_of
+from rfem_jax.mechanics.model.model import length_scale
 from rfem_jax.mechanics.model.with_errors import apply_errors
-from rfem_jax.mechanics.statics.assembly import length_scale
 from tests.derivatives import check_derivatives
 from tests.mechanisms import link
 

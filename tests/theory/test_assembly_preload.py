@@ -25,7 +25,8 @@ import pytest
 from rfem_jax import assemble, assembly_errors, discretise, load_study
 from rfem_jax.mechanics.dynamics.loads import static_state
 from rfem_jax.mechanics.model.with_errors import apply_errors
-from rfem_jax.mechanics.statics.assembly import equilibrium, named, static_loads
+from rfem_jax.mechanics.statics.assembly import named, static_loads
+from rfem_jax.mechanics.statics.settling import equilibrium
 
 STUDIES = Path(__file__).parents[2] / "studies"
 COUPLER, ROCKER, SIDE = 0.30, 0.30, 0.01

@@ -12,7 +12,8 @@ import pytest
 from rfem_jax import assemble, assembly_errors, design, designed, discretise
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics import contact
-from rfem_jax.mechanics.statics.assembly import equilibrium, held_angles
+from rfem_jax.mechanics.statics.assembly import held_angles
+from rfem_jax.mechanics.statics.settling import equilibrium
 from rfem_jax.validation.clearances import HARD, HERTZ, PLAY, TILT, depth_at_rest, flexible_four_bar, hung
 from tests.derivatives import check_derivatives
 

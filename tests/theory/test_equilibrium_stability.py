@@ -30,10 +30,12 @@ from rfem_jax.mechanics.dynamics.loads import static_state
 from rfem_jax.mechanics.model.model import length_scale
 from rfem_jax.mechanics.model.status import OK, UNSTABLE
 from rfem_jax.mechanics.model.with_errors import apply_errors
-from rfem_jax.mechanics.statics import assembly
-from rfem_jax.mechanics.statics.assembly import held_angles, settled
+from rfem_jax.mechanics.statics import settling
+from rfem_jax.mechanics.statics.assembly import held_angles
+from rfem_jax.mechanics.statics.assembly import static_loads as loads_at_rest
 from rfem_jax.mechanics.statics.designs import designed
 from rfem_jax.mechanics.statics.equilibrium_stability import free_coordinates, scaled_parts, told_by_return
+from rfem_jax.mechanics.statics.settling import settled
 from rfem_jax.simulation.modes import linearised
 from tests import mechanisms
 from tests.evaluation import evaluated
@@ -136,14 +138,14 @@ def test_what_the_search_returns_to_is_stable(make, hold, critical, monkeypatch)
         actual = apply_errors(made.model, made.errors)
         found = settled(made.model, actual, held)
         state = static_state(model.topology, found.position)
-        carried = assembly.static_loads(made.model, actual, state, found.multipliers)
-        leaving = assembly.stability(made.model, actual, held, state, found.tangent, carried)
+        carried = loads_at_rest(made.model, actual, state, found.multipliers)
+        leaving = settling.stability(made.model, actual, held, state, found.tangent, carried)
         assert found.tangent is not None and leaving is not None
-        return found.tangent.stable, found.position, assembly.status_at_rest(found.status, leaving), leaving.growth
+        return found.tangent.stable, found.position, settling.status_at_rest(found.status, leaving), leaving.growth
 
     results = []
     for returns in (True, False):
-        monkeypatch.setattr(assembly, "told_by_return", lambda actual, returns=returns: returns)
+        monkeypatch.setattr(settling, "told_by_return", lambda actual, returns=returns: returns)
         told, *others = evaluated(jax.vmap(at))(jnp.asarray(shares * critical))
         np.testing.assert_array_equal(told, returns & (shares < 0.5))
         np.testing.assert_array_equal(others[1], np.where(shares < 1.0, OK, UNSTABLE))
@@ -258,7 +260,7 @@ def test_flutter_is_not_seen():
 def test_the_stiffness_is_that_of_the_equations_of_motion(make, monkeypatch):
     """Of the residual of an implicit step, which is another formulation, at the same equilibrium, among the motions
     that the closure equations leave: across them stiffnesses depend on how these are written."""
-    monkeypatch.setattr(assembly, "told_by_return", lambda actual: False)
+    monkeypatch.setattr(settling, "told_by_return", lambda actual: False)
     model = discretise(make())
     topology, held = model.topology, held_angles(model, "as_given")
     actual = apply_errors(model, assembly_errors(model))

@@ -31,7 +31,7 @@ from rfem_jax import (
 )
 from rfem_jax.mechanics.dynamics.loads import static_state
 from rfem_jax.mechanics.model.with_errors import apply_errors
-from rfem_jax.mechanics.statics.assembly import equilibrium
+from rfem_jax.mechanics.statics.settling import equilibrium
 from rfem_jax.validation import slider_cranks, spatial_linkages
 from rfem_jax.validation.joint_cases import preload_lines
 from rfem_jax.validation.lines import PASS
