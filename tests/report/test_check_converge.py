@@ -58,6 +58,8 @@ def test_the_command(tmp_path, capsys):
     assert "error of 5" in printed and "For 1 %: beam 6" in printed
     assert main(["check", str(file), "--converge", "often"]) == 2
     assert "`--converge` must be an accuracy" in capsys.readouterr().err
+    assert main(["check", "--converge", str(file)]) == 2
+    assert f"write the study first: rfem-jax check {file} --converge" in capsys.readouterr().err
 
 
 @pytest.mark.long

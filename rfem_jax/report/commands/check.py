@@ -43,7 +43,7 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
     add_study(parser)
     parser.add_argument("--picture", metavar="FILE.png", help="draw the mechanism at its start, without a run")
     parser.add_argument(
-        "--converge", metavar="ACCURACY", nargs="?", const="1 %",
+        "--converge", metavar="ACCURACY", nargs="?", const="1 %", type=_no_study,
         help="simulate the cases with half and twice as many rfes, too: how far the loads are off, and how many rfes "
         'an accuracy takes (default: "1 %%")',
     )  # fmt: skip
@@ -118,6 +118,16 @@ def _look_at_motion(study: Study, model: Model, document: dict[str, Any]) -> tup
         show(f"The drive prescribes what the loops do not let it: they stop closing {limit.text}; a run is lost there.")
         document["drive_limit"] = {"time": limit.time, "of": limit.label, "position": limit.position}
     return study, document
+
+
+def _no_study(text: str) -> str:
+    """What follows `--converge` on the command line, where a study would be taken for the accuracy."""
+    if text.lower().endswith(".toml"):
+        raise argparse.ArgumentTypeError(
+            f"must be followed by an accuracy or nothing, but was by {text!r}; write the study first: "
+            f"rfem-jax check {text} --converge"
+        )
+    return text
 
 
 def _accuracy(text: str) -> float:
