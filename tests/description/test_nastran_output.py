@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rfem_jax import load_body
+from rfem_jax import Joint, Link, Mechanism, discretise, load_body, natural_frequencies
 from rfem_jax.description.study_file import study_reader
 
 pytest.importorskip("pyyeti.nastran")
@@ -120,6 +120,11 @@ def test_what_nastran_wrote_has_the_mass_that_it_printed():
     first = moved.T @ body.mass[:24, :24] @ turned / 1.755052
     centre = 600.0 + first[1, 2], first[2, 0], 300.0 + first[0, 1]
     np.testing.assert_allclose(centre, [1039.998, 150.0, 150.0], rtol=1e-6)
+    # Its masses, lumped at nodes, leave a motion without inertia.
+    model = discretise(Mechanism([Link("part", body=body)], [Joint("A", "base", "part", kind="fixed")]))
+    squares = np.linalg.eigvals(np.linalg.solve(body.mass[6:, 6:], body.stiffness[6:, 6:])).real
+    slowest = np.sqrt(np.sort(squares)[:4]) / (2.0 * np.pi)
+    np.testing.assert_allclose(natural_frequencies(model, count=4).frequency, slowest, rtol=1e-5)
     assert len(body.mass) == 24 + 8 and load_body(folder / "outboard.op4").total_mass == pytest.approx(
         1.59038, rel=1e-5
     )
@@ -214,6 +219,24 @@ def test_another_assembly_file_is_refused(refused, folder, wanted, old, new, sai
     (folder / "arm.asm").write_text(ASSEMBLY.replace(old, new), encoding="utf-8")
     with refused(*said):
         load_body(folder / "arm.op4")
+
+
+def test_a_punched_file_beside_it_may_tell_components(refused, folder, wanted):
+    op4.write(folder / "arm.op4", {"KXX": as_written(wanted[2]), "MXX": as_written(wanted[1])})
+    punched = folder / "arm.pch"
+    punched.write_text("$TITLE   = results of another run\n", encoding="utf-8")
+    assert_same(load_body(folder / "arm.op4"), wanted)
+    punched.write_text("EXTRN,20,123456,10,123456,31,0,32,0\n", encoding="utf-8")
+    assert_same(load_body(folder / "arm.op4"), wanted)
+    punched.write_text("EXTRN,20,123456,10,123,31,0,32,0\n", encoding="utf-8")
+    with refused("six components", "keep all six"):
+        load_body(folder / "arm.op4")
+
+
+def test_folders_are_no_files(refused, folder):
+    (folder / "bar.op2").mkdir()
+    with refused("bar.op2", "but there is none"):
+        load_body(folder / "bar.op2", grids=folder / "arm.asm")
 
 
 def test_the_assembly_file_is_of_binary_files_alone(refused, folder):

@@ -545,18 +545,49 @@ def test_a_stiffness_of_the_wrong_sign_is_refused():
         ReducedBody(body.interfaces, body.mass, -np.asarray(body.stiffness))
 
 
-def test_a_mass_that_some_motion_lacks_is_refused():
-    """Rigid masses at interfaces, and matrices that lost digits, by which a motion has none, or less."""
+def test_motions_without_inertia_get_a_little():
+    """Rigid masses at interfaces, and matrices that lost digits: what vibrates slowly does so as before, and fast
+    motions are fast. A mass that is negative beyond its digits is refused."""
     body, _ = reduced(straight(0.3), (0, 24), 4)
     mass, size = np.asarray(body.mass), np.sqrt(np.diag(body.mass))
     values, vectors = np.linalg.eigh(mass / size[:, None] / size)
-    lost = mass - (values[0] + 5e-6) * np.outer(size * vectors[:, 0], size * vectors[:, 0])
     by_interfaces = np.linalg.pinv(body.rigid_motions)
     rigid = by_interfaces.T @ (body.rigid_motions.T @ mass @ body.rigid_motions) @ by_interfaces
     rigid += np.diag(np.where(np.arange(16) < 12, 0.0, np.diag(mass)))
-    for wrong in (lost, rigid):
-        with pytest.raises(InputError, match="`mass` .* must be that of a body, but has an eigenvalue"):
-            ReducedBody(body.interfaces, wrong, body.stiffness)
+
+    def lost(least):
+        return mass - (values[0] + least) * np.outer(size * vectors[:, 0], size * vectors[:, 0])
+
+    def lowest(one):
+        model = discretise(Mechanism([Link("part", body=one)], [Joint("A", "base", "part", kind="fixed")]))
+        return np.asarray(natural_frequencies(model, count=3).frequency)
+
+    for given in (lost(5e-6), rigid):
+        found = ReducedBody(body.interfaces, given, body.stiffness)
+        assert float(found.total_mass) == pytest.approx(float(body.total_mass), rel=2e-5)
+        assert ReducedBody(found.interfaces, found.mass, found.stiffness) == found
+        free = np.linalg.eigvals(np.linalg.solve(np.asarray(body.stiffness)[6:, 6:], given[6:, 6:])).real
+        slow = np.sort(1.0 / np.sqrt(free[free > 1e-4 * free.max()]))[:3] / (2.0 * np.pi)
+        np.testing.assert_allclose(lowest(found)[: len(slow)], slow, rtol=1e-4)
+    with pytest.raises(InputError, match="`mass` .* must be that of a body, but has an eigenvalue"):
+        ReducedBody(body.interfaces, lost(1e-3), body.stiffness)
+
+
+def test_a_part_that_leads_along_the_hinges():
+    """As a fork with two bores on one axis: nothing says how sections would be turned, and it has none."""
+    along, _ = reduced(straight(0.3), (0, 12, 24), 2)
+    turn, rows = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.eye(20)
+    rows[:18, :18] = np.kron(np.eye(6), turn)
+    body = ReducedBody(along.interfaces @ turn.T, rows @ along.mass @ rows.T, rows @ along.stiffness @ rows.T)
+    assert (body.interfaces[:, [0, 2]] == 0.0).all()
+    model = discretise(Mechanism([Link("part", body=body)], [Joint("A", "base", "part", kind="fixed")]))
+    mass, stiffness = (np.asarray(one)[6:, 6:] for one in (body.mass, body.stiffness))
+    wanted = np.sqrt(eigh(stiffness, mass, eigvals_only=True)[:4]) / (2.0 * np.pi)
+    np.testing.assert_allclose(natural_frequencies(model, count=4).frequency, wanted, rtol=1e-6)
+    run = simulate(Simulation(model, drive=None, method=GeneralisedAlpha(step=1e-3), duration=4e-3))
+    assert int(run.status) == 0
+    weight = float(body.total_mass) * 9.81
+    assert float(run.metrics.rms_force["A"]) == pytest.approx(weight, rel=1e-3)
 
 
 def test_moments_that_the_mass_does_not_have_are_refused():

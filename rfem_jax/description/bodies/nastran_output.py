@@ -8,6 +8,7 @@ of their rows with them.  Displacements of a grid are along the axes that it nam
 ones: its rigid motions relative to itself tell these axes, whatever kind they are of.
 """
 
+import re
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
@@ -47,20 +48,26 @@ def require_reader(path: Path) -> None:
         ) from None
 
 
+def _require_file(path: Path) -> None:
+    """Raise FileNotFoundError for what is no file: pyYeti opens a window to choose one from a folder."""
+    if not path.is_file():
+        raise FileNotFoundError(path)
+
+
 def read_rows(path: Path) -> Rows:
     """Interfaces and modes of an assembly file.
 
     Raises: InputError, an interface has not all six components; what pyYeti raises for a file that it cannot read.
     """
-    if not path.is_file():
-        raise FileNotFoundError(path)
+    _require_file(path)
     read = import_module("pyyeti.nastran.bulk").asm2uset
-    # Beside it may be a punched file that says which components the matrices have, by its entry EXTRN.
-    punched = path.with_suffix(".pch").is_file()
-    points, _, _, *kept = read(str(path), try_rdextrn="pv_only" if punched else False)
+    # Beside it may be a punched file that says which components the matrices have, by its entry EXTRN, or of results.
+    punched = path.with_suffix(".pch")
+    told = punched.is_file() and re.search(rb"^EXTRN", punched.read_bytes(), re.IGNORECASE | re.MULTILINE)
+    points = read(str(path), try_rdextrn=bool(told))[0]
     numbers, components = np.array(points.index.tolist()).T
     grids, ends = np.unique(numbers[components == 1]), components > 0
-    if not np.all(kept) or not len(grids) or np.sum(ends) != 6 * len(grids):
+    if not len(grids) or np.sum(ends) != 6 * len(grids):
         raise InputError(
             f"Assembly file `{path}` of a reduced body must have interfaces with six components each, but has "
             f"{'only some components of a grid' if len(grids) else 'no grid'}; keep all six."
@@ -79,6 +86,7 @@ def read_output(path: Path) -> dict[str, Any]:
 
     Raises: what pyYeti raises for a file that it cannot read.
     """
+    _require_file(path)
     if path.suffix.lower() == ".op4":
         reader = import_module("pyyeti.nastran.op4")
         names, sizes, *_ = reader.dir(str(path), verbose=False)

@@ -25,6 +25,7 @@ _SYMMETRY = 1e-5  # of the largest entry of both rows: files are written with si
 _MOMENTS = 0.05  # of the largest angular momentum of a row: nodes of beams turn, which is no moment
 _RIGID = 1e-4  # of the forces that the interfaces move by, in a motion that deforms nothing
 _LEAST = 1e-9  # of an eigenvalue, where the diagonal is 1
+_INERTIA = 1e-8  # of the diagonal of the mass, for motions without any: far below what its digits say
 SAME_PLACE = 1e-6  # of the largest distance of two interfaces
 Matrix = Sequence[Sequence[float]]
 
@@ -44,8 +45,8 @@ class ReducedBody(ChecksItself):
         stresses: (k, 6, N) [Pa] at k places by unit rows: xx, yy, zz, xy, yz, zx.
         stress_names: of these places.
     Raises:
-        InputError: shapes or signs are wrong, a matrix is not symmetric, rigid motions exert forces, some motion has no
-            inertia, or the moments are not those of the mass matrix.
+        InputError: shapes or signs are wrong, a matrix is not symmetric, rigid motions exert forces, some motion has a
+            negative inertia, or the moments are not those of the mass matrix.
     """
 
     interfaces: Float[np.ndarray, "n 3"] | Matrix
@@ -74,6 +75,8 @@ class ReducedBody(ChecksItself):
             checks.relation(("interfaces", "mass", "stiffness"), self._check_physics)
         if not checks.failed and self.moments is not None:
             checks.relation(("interfaces", "mass", "moments"), self._check_moments)
+        if not checks.failed:
+            checks.relation(("mass",), self._add_least_inertia)
         if not checks.failed:  # the frame of the link begins in the first interface
             object.__setattr__(self, "interfaces", self.interfaces - np.asarray(self.interfaces)[:1])
 
@@ -144,12 +147,20 @@ class ReducedBody(ChecksItself):
                 )
             scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
             values = np.linalg.eigvalsh(matrix / scale[:, None] / scale[None])
-            if values[0] < -_SYMMETRY or values[free] <= _LEAST:
+            if values[0] < -_SYMMETRY or (free and values[free] <= _LEAST):
                 raise InputError(
                     f"Argument `{name}` of a reduced body must be that of a body, but has an eigenvalue of "
                     f"{values[0] if values[0] < -_SYMMETRY else values[free]:.2g} where its diagonal is 1"
                     f"{', beside its six rigid motions' if free else ''}; give all rows with all their digits."
                 )
+
+    def _add_least_inertia(self) -> None:
+        """Masses lumped at nodes leave motions without any inertia, or with a negative one in the last digits."""
+        mass = np.asarray(self.mass)
+        scale = np.sqrt(np.diag(mass))
+        least = np.linalg.eigvalsh(mass / scale[:, None] / scale[None])[0]
+        if least < _LEAST:
+            object.__setattr__(self, "mass", mass + (_INERTIA - min(least, 0.0)) * np.diag(np.diag(mass)))
 
     def _check_moments(self) -> None:
         """What the matrices know of the moments: those of the momentum about the first interface."""

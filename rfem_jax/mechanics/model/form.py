@@ -33,6 +33,7 @@ from rfem_jax.mechanics.model.profiles import Profile
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(12)  # for an arc of 270 degrees to rounding
 LEAST_ACROSS = 0.01  # 1 - of a tangent's part along the hinges, below which nothing says how sections are turned
 LOOKED_AT = 200  # places of a curve
+ALONG_HINGES = 1e-12  # square of the part of a tangent across the hinges, where it leads along these
 # About x: y of a joint, or of a section, is z of its link in the plane xy.
 QUARTER = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 DRAWN = 4  # points of a link to each of its sdes
@@ -179,7 +180,11 @@ def section_axes(tangent: Float[Array, "3 n"], roll: Float[Array, " n"], hinge: 
     along = scaled(1.0 / jnp.sqrt(dot(tangent, tangent)), tangent)
     unit = jnp.asarray(vectors.IDENTITY[hinge][:, None])
     across = unit - scaled(along[hinge], along)
-    across = scaled(1.0 / jnp.sqrt(dot(across, across)), across)
+    square = dot(across, across)
+    # Interfaces of a reduced body may follow each other along the hinges: it has no sections, and any axis does.
+    turned = square > ALONG_HINGES
+    across = jnp.where(turned, across, jnp.asarray(vectors.IDENTITY[(hinge + 1) % 3][:, None]))
+    across = scaled(1.0 / jnp.sqrt(jnp.where(turned, square, 1.0)), across)
     y, z = (across, cross(along, across)) if hinge == 1 else (cross(across, along), across)
     cosine, sine = jnp.cos(roll), jnp.sin(roll)
     return jnp.stack([along, scaled(cosine, y) + scaled(sine, z), scaled(cosine, z) - scaled(sine, y)], axis=1)
