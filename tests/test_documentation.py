@@ -1,11 +1,16 @@
-"""Documents: links lead somewhere, the theory's equations are numbered in order, and those that it or the code
-refers to exist."""
+"""Documents: links lead somewhere, the reference has all public names, the theory's equations are numbered in order,
+and those that it or the code refers to exist."""
 
 import re
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+
+import rfem_jax
+from rfem_jax.description.methods import METHOD_CLASSES
+from rfem_jax.description.study_file.force_reader import FORCES
+from rfem_jax.description.study_file.study_reader import DRIVES, SHAPES
 
 ROOT = Path(__file__).parents[1]
 THEORY = ROOT / "docs" / "theory"
@@ -72,6 +77,17 @@ def test_files_that_the_map_of_the_house_names_exist():
     assert len(named) > 30
     missing = [name for name in named if not any((folder / name).exists() for folder in (ROOT, ROOT / "rfem_jax"))]
     assert not missing
+
+
+def test_the_reference_has_every_public_name_once():
+    pages = [path.read_text(encoding="utf-8") for path in (ROOT / "docs" / "reference").glob("*.md")]
+    blocks = [block for page in pages for block in re.findall(r"```{public-names}\n(.*?)```", page, flags=re.DOTALL)]
+    assert sorted(" ".join(blocks).split()) == sorted(rfem_jax.__all__)
+
+
+def test_what_study_files_choose_by_a_name_is_public():
+    classes = {*FORCES.values(), *DRIVES.values(), *SHAPES.values(), *METHOD_CLASSES.values()}
+    assert {one.__name__ for one in classes} <= set(rfem_jax.__all__)
 
 
 def test_the_index_of_the_theory_leads_to_every_chapter_and_every_picture_is_shown():

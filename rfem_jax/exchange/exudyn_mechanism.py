@@ -122,7 +122,7 @@ def require_translated(model: Model) -> None:
             ["some in its loops"] if topology.redundant else ()
         ),
         "joints with clearance": clear,
-        "forces that are functions in Python": [
+        "forces along joints that are neither springs nor tables": [
             name for name, law in (model.forces or {}).items() if not isinstance(law, SpringLaw | TableLaw)
         ],
         "couplings of joints": list(model.couplings or ()),

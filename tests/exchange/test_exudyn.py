@@ -124,7 +124,7 @@ def spring(motion):
 
 STIFF = {f"R_{axis}": 100.0 * (n + 1) for n, axis in enumerate("xyz")} | {f"R_{axis}_damping": 0.03 for axis in "xyz"}
 REFUSED = {
-    "functions in Python, but the study has `own`": chain(
+    "neither springs nor tables, but the study has `own`": chain(
         "revolute", JointForceFunction("own", "X", lambda position, rate: -rate)
     ),
     "several rotations, but the study has the drive of X.R_y": chain(

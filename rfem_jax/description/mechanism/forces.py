@@ -334,7 +334,7 @@ def _freedom_of(force: JointForce, joint: Joint) -> Freedom:
 
 
 def _dimension(freedom: Freedom, of: str) -> str:
-    """Dimension of a force, a stiffness or a damping along a coordinate."""
-    along = {"force": "force", "stiffness": "stiffness", "damping": "damping"}
-    about = {"force": "moment", "stiffness": "rotational_stiffness", "damping": "rotational_damping"}
-    return (about if freedom.rotation else along)[of]
+    """Dimension of a force, a stiffness or a damping along a coordinate, or about it."""
+    if not freedom.rotation:
+        return of
+    return "moment" if of == "force" else f"rotational_{of}"

@@ -67,9 +67,8 @@ class Mechanism(NumberTree, ChecksItself):
             at the start values of the joints while flexible links settle, then released, at the joints' initial
             rates; or "equilibrium", in the static equilibrium of these freedoms, at rest (a study sets it from its
             own `start`).
-        forces: JointSpring, JointFriction, JointForceTable and JointForceFunction objects along joints; PointSpring,
-            PointSpringTable and PointSpringFunction objects between points of links, PointForce and PointMoment
-            objects at them, DistributedForce objects along links; Coupling objects between two joint coordinates.
+        forces: objects of forces in joints (such as JointSpring), between points of links (PointSpring), at them
+            (PointForce) and along links (DistributedForce), and of couplings of two joint coordinates (Coupling).
         reaction_length: length [m], > 0, over which moments count beside forces in the sum of squares of
             "minimum_norm"; None: that of the longest link.
         points: Point objects, whose paths runs follow, and names of joints, as "B", and of ends of links, as

@@ -7,6 +7,7 @@ Each acts on one joint coordinate and depends on its position and rate alone (th
 
 import abc
 from collections.abc import Callable
+from dataclasses import fields
 from typing import ClassVar
 
 import equinox as eqx
@@ -24,13 +25,14 @@ class JointLaw(eqx.Module):
     """A force along one joint coordinate, positive as the coordinate.
 
     A law whose `energy` and `dissipation` account for all of its power is `inside` the joint and part of its load, as
-    springs with dampers are; the power of any other is work done from outside (theory (3.17)), as of `FrameForce`.
+    springs with dampers are; the power of any other is work done from outside (theory (3.17)), as of `FrameForce`. Its
+    own fields are arrays, or a function, and have the names of those of its description in SI units.
 
     coordinate, place: indices of the coordinate among the rates and in the position of the tree joints.
     """
 
-    coordinate: eqx.AbstractVar[int]
-    place: eqx.AbstractVar[int]
+    coordinate: int = eqx.field(static=True)
+    place: int = eqx.field(static=True)
 
     inside: ClassVar[bool] = False
 
@@ -51,12 +53,14 @@ class JointLaw(eqx.Module):
         position alone; None for other forces."""
         del position
 
+    def holds(self) -> bool:
+        """Whether the force may depend on the position; numbers of the law must be concrete."""
+        return True
+
 
 class SpringLaw(JointLaw):
     """preload - stiffness (position - rest) - damping rate, in SI units."""
 
-    coordinate: int = eqx.field(static=True)
-    place: int = eqx.field(static=True)
     stiffness: Float[Array, ""]
     damping: Float[Array, ""]
     rest: Float[Array, ""]
@@ -75,12 +79,13 @@ class SpringLaw(JointLaw):
     def dissipation(self, rate: Float[Array, ""]) -> Float[Array, ""]:
         return self.damping * rate**2
 
+    def holds(self) -> bool:
+        return float(self.stiffness) > 0.0
+
 
 class TableLaw(JointLaw):
     """Linear between given positions, constant outside."""
 
-    coordinate: int = eqx.field(static=True)
-    place: int = eqx.field(static=True)
     positions: Float[Array, " rows"]
     forces: Float[Array, " rows"]
 
@@ -119,8 +124,6 @@ def work_from_first_row(
 class FunctionLaw(JointLaw):
     """A user's function of position and rate."""
 
-    coordinate: int = eqx.field(static=True)
-    place: int = eqx.field(static=True)
     function: Callable[..., Float[Array, ""]]
 
     def force(self, position, rate):
@@ -136,17 +139,20 @@ class JointLaws(eqx.Module):
     couplings: dict[str, CouplingLaw] = eqx.field(default_factory=dict)
 
 
+# Of every description of a force along a joint coordinate its law.
+LAWS: dict[type[JointForce], type[JointLaw]] = {
+    JointSpring: SpringLaw,
+    JointForceTable: TableLaw,
+    JointForceFunction: FunctionLaw,
+}
+
+
 def joint_law(force: JointForce, coordinate: int, place: int) -> JointLaw:
     """The arrays of a described force on a joint coordinate."""
-    if isinstance(force, JointSpring):
-        numbers = {name: getattr(force, name) for name in ("stiffness", "damping", "rest", "preload")}
-        return SpringLaw(coordinate, place, **{name: jnp.asarray(x, jnp.float64) for name, x in numbers.items()})
-    if isinstance(force, JointForceTable):
-        columns = (jnp.asarray(x, jnp.float64) for x in (force.positions, force.forces))
-        return TableLaw(coordinate, place, *columns)
-    if isinstance(force, JointForceFunction):
-        return FunctionLaw(coordinate, place, force.function)
-    raise TypeError(f"{type(force).__name__} is not a force that the mechanics knows; add its law here.")
+    law = LAWS[type(force)]
+    own = {one.name: getattr(force, one.name) for one in fields(law) if one.name not in ("coordinate", "place")}
+    arrays = {name: given if callable(given) else jnp.asarray(given, jnp.float64) for name, given in own.items()}
+    return law(coordinate, place, **arrays)
 
 
 def law_derivatives(
@@ -155,9 +161,3 @@ def law_derivatives(
     """Derivatives of a force with respect to position and rate."""
     at = jnp.asarray(position, jnp.float64), jnp.asarray(rate, jnp.float64)
     return jax.grad(law.force, (0, 1))(*at)
-
-
-def holds(law: JointLaw) -> bool:
-    """Whether a force may depend on the position, as every law may but a damper without a spring; the law's numbers
-    must be concrete."""
-    return not isinstance(law, SpringLaw) or float(law.stiffness) > 0.0

@@ -16,7 +16,6 @@ from rfem_jax.description.basics.numbers import is_known
 from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.description.mechanism.mechanism import AS_GIVEN, ELEMENTS, EQUILIBRIUM, PLANAR, Mechanism
 from rfem_jax.description.parameters.parts import parts_of
-from rfem_jax.mechanics.laws.joint_laws import holds
 from rfem_jax.mechanics.laws.point_laws import PointLaw
 from rfem_jax.mechanics.model.assembly_modes import Closed, chosen_closure, given_coordinates, is_far
 from rfem_jax.mechanics.model.building import build_model, reaction_length
@@ -295,7 +294,7 @@ def _idle_coordinates(model: Model) -> dict[int, str]:
     placed = place(geometry, np.asarray(model.start_joints))
     laws = [] if model.forces is None else model.forces.values()
     # A freedom that a spring holds is not idle.
-    held = [*(law.coordinate for law in laws if holds(law)), *topology.sprung_coordinates]
+    held = [*(law.coordinate for law in laws if law.holds()), *topology.sprung_coordinates]
     sprung = [np.eye(topology.n_freedoms)[held]]
     for coupling in (one for one in (model.couplings or {}).values() if one.stiffness is not None):
         positions = jnp.asarray(model.start_joints)[np.array(coupling.places)]

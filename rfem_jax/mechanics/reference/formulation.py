@@ -26,7 +26,6 @@ from rfem_jax.mechanics.algebra.vectors import Scalar, pseudo_inverse
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.forces.joint_forces import applied_forces, law_forces
 from rfem_jax.mechanics.laws.frame_forces import START, NodeFrame, Pose
-from rfem_jax.mechanics.laws.joint_laws import SpringLaw
 from rfem_jax.mechanics.laws.joint_springs import CompliantSpring
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.model.model import Coordinates, State
@@ -212,17 +211,23 @@ def _deflection(left: Array, right: Array) -> Array:
     return jnp.concatenate([gap + back @ gap, theta])
 
 
-def _spring_work(actual: ModelWithErrors, state: State, q: Coordinates, qd: Coordinates) -> tuple[Array, Array]:
-    """Potential of the springs of joints, and Rayleigh's function of their dampers, at changes of the position and at
-    rates of the coordinates."""
-    potential = rayleigh = jnp.zeros(())
-    joints = _changed(actual.topology, state.position, q).joints
-    for law in {} if actual.forces is None else actual.forces.laws.values():
-        if isinstance(law, SpringLaw):
-            stretch = joints[law.place] - law.rest
-            potential = potential + 0.5 * law.stiffness * stretch**2 - law.preload * stretch
-            rayleigh = rayleigh + 0.5 * law.damping * qd.joints[law.coordinate] ** 2
-    return potential, rayleigh
+def _spring_forces(actual: ModelWithErrors, state: State, unravel: Callable[[Array], Coordinates]) -> Array:
+    """Generalised forces of the springs and dampers of joints, flat, by the energy that they store and the power that
+    they dissipate: so both are compared with the forces."""
+    still = jnp.zeros_like(ravel_pytree(state.velocity)[0])
+    springs = [] if actual.forces is None else [law for law in actual.forces.laws.values() if law.inside]
+
+    def potential(q):
+        joints = _changed(actual.topology, state.position, unravel(q)).joints
+        return sum((law.energy(joints[law.place]) for law in springs), jnp.zeros(()))
+
+    force = -jax.grad(potential)(still)
+    for law in springs:
+        rate = state.velocity.joints[law.coordinate]
+        moves = rate != 0.0
+        damping = law.dissipation(rate) / jnp.where(moves, rate, 1.0)
+        force = force.at[law.coordinate].add(-jnp.where(moves, damping, 0.0))
+    return force
 
 
 def _coupling_forces(
@@ -329,16 +334,13 @@ def _joint_coordinate_forces(
 ) -> Array:
     """Generalised forces of drives, springs, dampers and laws of joints, flat."""
     qd, _ = ravel_pytree(state.velocity)
-    force = still = jnp.zeros_like(qd)
-    if actual.forces is not None:
-        force = force - jax.grad(lambda q: _spring_work(actual, state, unravel(q), unravel(still))[0])(still)
-        force = force - jax.grad(lambda qd: _spring_work(actual, state, unravel(still), unravel(qd))[1])(qd)
+    force = _spring_forces(actual, state, unravel)
     bare = eqx.tree_at(lambda a: a.springs, actual, None, is_leaf=lambda x: x is None)
     if actual.forces is not None and actual.forces.couplings:
         bare = eqx.tree_at(lambda a: a.forces.couplings, bare, {})
         force = force + _coupling_forces(actual, state, qd, unravel)
     laws = law_forces(bare, state)
-    # Those of springs and dampers are in the two functions already.
+    # Springs and dampers have been counted by their energy and their dissipation.
     outside = None if laws is None else laws._replace(inside={})
     for k, applied in applied_forces(actual.topology, state.position, drive, outside).items():
         force = force.at[k].add(applied)
