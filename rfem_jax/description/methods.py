@@ -95,7 +95,7 @@ class _MethodClass(type):
 class Method(ChecksItself, metaclass=_MethodClass):
     """A method of integration with its settings; numbers in SI or strings with a unit.
 
-    The base of all classes of methods. A class of one's own is added by `rfem_jax.register_method`.
+    The base of all classes of methods. `rfem_jax.register_method` adds a class of your own program.
 
     Raises:
         InputError: a value out of range, or settings that do not fit the method.

@@ -32,7 +32,7 @@ _expected, _choice = threading.local(), threading.local()
 
 @contextmanager
 def left_to_xla() -> Iterator[None]:
-    """Leave kernels to XLA that this thread compiles within the block, under a `jax.jit` of one's own: to compare."""
+    """Let XLA compile the kernels that this thread traces in the block, in a `jax.jit` of the caller: to compare."""
     before, _choice.xla = is_left_to_xla(), True
     try:
         yield

@@ -2,7 +2,7 @@
 
     specification        what is simulated: mechanism, drive, time, method
     simulating           one simulation: the function that users call
-    motion_equations     the equations of motion as a vector field, for solvers of one's own
+    motion_equations     the equations of motion as a vector field, for other solvers
     driving              which joint a drive acts on
     time_grid            intervals between saved times and jumps, divided into steps
     equations            the first-order system that is integrated

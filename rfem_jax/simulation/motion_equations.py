@@ -1,4 +1,4 @@
-"""The equations of motion of one mechanism as a vector field, for solvers, events and saved times of one's own.
+"""The equations of motion of one mechanism as a vector field, for the caller's own solver, events and saved times.
 
 Place in the pipeline: Simulation, errors -> **EquationsOfMotion** -> diffrax.diffeqsolve.
 """

@@ -119,7 +119,7 @@ def test_names_of_arguments_that_are_wrong_are_told_in_a_sentence(refused):
         Explicit(diffrax.Kvaerno5(), rtol=1e-6, atol=1e-8)
 
 
-def test_a_solver_of_ones_own_stays_as_it_is():
+def test_a_solver_of_the_user_stays_as_it_is():
     class Third(diffrax.Bosh3):
         pass
 

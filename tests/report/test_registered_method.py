@@ -147,7 +147,7 @@ def test_without_registration_nobody_knows_it():
 
 
 @pytest.mark.slow
-def test_a_solver_of_ones_own_needs_no_class_of_methods(registered, tmp_path):
+def test_a_solver_of_the_user_needs_no_class_of_methods(registered, tmp_path):
     (tmp_path / "study.toml").write_text(RK4, encoding="utf-8")
     study = load_study(tmp_path / "study.toml")
     model, settings = discretise(study.mechanism), {"drive": study.drive, "duration": 0.005, "save_every": 1e-3}

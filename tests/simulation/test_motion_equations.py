@@ -94,7 +94,7 @@ def test_the_field_is_that_of_the_equations_before_and_after_a_jump(simulation):
     assert batch.shape == (2, 3) and np.abs(batch[1] - batch[0]).max() > 0.1
 
 
-def test_a_start_of_ones_own(simulation):
+def test_a_start_that_the_caller_gives(simulation):
     state = equations_of_motion(simulation).start
     moving = State(state.position, jax.tree.map(lambda x: x + 0.1, state.velocity))
     motion = equations_of_motion(dataclasses.replace(simulation, start=moving))

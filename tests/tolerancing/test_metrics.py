@@ -96,7 +96,7 @@ def test_a_p_norm_has_a_finite_derivative_where_the_load_vanishes():
     check_derivatives(norm, 1.0, 1e-6, reverse=1e-12, differences=1e-8)
 
 
-def test_metrics_of_ones_own_and_bad_ones():
+def test_metrics_of_the_user_and_bad_ones():
     own = Metric("A.swing", "rad", "swing", function=lambda run: run.motion.angle_end)
     assert float(own(run())) == 1.25 and own.even is None
     with pytest.raises(InputError, match="`function` of metric 'A.swing'"):

@@ -27,7 +27,7 @@ from rfem_jax.description.mechanism.joints import Joint
 if TYPE_CHECKING:
     Law = Callable[[Any, Any], Any]
 else:
-    Law = Any  # what is no function is refused in a sentence
+    Law = Any  # checked in `_check_fields`, with a sentence, and not by its type
 
 
 FRICTION_LAWS = ("tanh", "brown_mcphee")
@@ -316,7 +316,7 @@ def _read_numbers(force: JointForce, freedom: Freedom) -> dict[str, Any]:
 
 def _check_names(checks: Checks) -> None:
     checks.convert("name", require_name, "`name` of a force")
-    if checks.passed("name"):  # which has that of the joint for a force in a joint's table
+    if checks.passed("name"):  # in a joint's table both are made of the joint's name: one mistake is told once
         checks.convert("joint", require_name, f"`joint` of force `{checks.owner.name}`")
 
 

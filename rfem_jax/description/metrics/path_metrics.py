@@ -209,8 +209,8 @@ def _angle_deviation_at(run: Any, owner: str) -> Float[Array, "3"]:
 
 
 def _root(square: Array) -> Array:
-    """The root of what is not negative, zero with its derivative where that is rounding: two runs without errors may
-    differ by it, and have no direction there."""
+    """The root of a square; it and its derivative are zero where the square is rounding, by which two runs without
+    errors may differ, and which has no direction."""
     vanish = square <= ROUNDING**2
     return jnp.where(vanish, 0.0, jnp.sqrt(jnp.where(vanish, 1.0, square)))
 

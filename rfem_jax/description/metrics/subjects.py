@@ -180,7 +180,7 @@ def require_metric(name: str, subjects: MetricSubjects, whole: str, of: str = ""
 
 
 def _require_divisible(name: str, owner: str, subjects: MetricSubjects, of: str) -> None:
-    """Raise InputError for a fraction of a link that is none, or of a link that has no sections."""
+    """Raise InputError for a wrong fraction, and for a place within a reduced body, which has no sections there."""
     link, fraction = divided(owner)
     if fraction != 1.0 and link in subjects.links and subjects.links[link].reduced:
         raise InputError(

@@ -62,8 +62,8 @@ class PinInBush(FrameForce):
 
     radial, axial, length [m]: clearances and the pin's length; ends, stop: laws of the contacts; centring [N/m];
     damping [s/m] chi of Hunt and Crossley, or restitution of Lankarani and Nikravesh with slowest [m/s] and the speeds
-    `approach` (3,) [m/s]; friction, its coefficient, with radius [m] of the pin and sliding [m/s]; what is not given is
-    None.  on_parent: whether the pin is the parent's.
+    `approach` (3,) [m/s]; friction, its coefficient, with radius [m] of the pin and sliding [m/s]; each is None where
+    it is not given.  on_parent: whether the pin is the parent's.
     """
 
     parent: NodeFrame

@@ -299,7 +299,7 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         evaluation = self.evaluate(predicted, constants, start)[0]
 
         renewed = _renews(conditions.actual)
-        # Contacts converge an increment later; what is not solved is done again in quarters, which costs more.
+        # Contacts converge an increment later; a step that is not solved is repeated in quarters, which costs more.
         most = self.max_increments + self.follows(conditions.actual)
 
         def kept(evaluation):
