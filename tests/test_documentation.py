@@ -92,6 +92,13 @@ def test_what_study_files_choose_by_a_name_is_public():
     assert {one.__name__ for one in classes} <= set(rfem_jax.__all__)
 
 
+def test_the_readme_counts_as_the_page_of_the_validation():
+    readme, page = (ROOT / "README.md").read_text("utf-8"), (ROOT / "docs" / "validation.md").read_text("utf-8")
+    counted = re.search(r"(\d+) values of published problems[^:]*: (\d+) pass, (\d+) are not met", readme)
+    of_page = re.search(r"Of (\d+) values\s+- (\d+) pass;\s+- (\d+) are not met", page)
+    assert counted and of_page and counted.groups() == of_page.groups()
+
+
 def test_the_index_of_the_theory_leads_to_every_chapter_and_every_picture_is_shown():
     assert len(CHAPTERS) == 19 and PICTURES
     index = LINK.findall((THEORY / "README.md").read_text(encoding="utf-8"))
