@@ -10,15 +10,15 @@ import jax
 import jax.numpy as jnp
 
 from rfem_jax.description.study_file.study import Study
-from rfem_jax.mechanics.model.errors import AssemblyErrors
+from rfem_jax.mechanics.model.errors import Deviations
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.report.output import write_json
 from rfem_jax.report.summary import reaction_norm, study_note
 from rfem_jax.simulation import cases
 
 
-def errors_of_cases(study: Study, model: Model) -> AssemblyErrors:
-    """The errors of all cases of a study, along a first axis."""
+def errors_of_cases(study: Study, model: Model) -> Deviations:
+    """What deviates in all cases of a study, along a first axis."""
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *cases.errors_of_cases(study, model))
 
 
