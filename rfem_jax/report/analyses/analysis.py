@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rfem_jax.description.parameters.parameters import parameters_of
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.mechanics.model.errors import Deviations
 from rfem_jax.mechanics.model.model import Model
@@ -23,10 +24,12 @@ def errors_of_cases(study: Study, model: Model) -> Deviations:
 
 
 def error_names(study: Study) -> tuple[str, ...]:
-    """Errors that derivatives are wanted by: those of the tolerances, and those that cases have."""
-    tolerances = study.tasks.tolerances
+    """Errors that derivatives of what is at rest are wanted by: those of the tolerances, and those that cases have;
+    without numbers of the drives, which move nothing there."""
+    tolerances, parameters = study.tasks.tolerances, parameters_of(study.mechanism)
     names = [] if tolerances is None else list(tolerances.names)
-    return tuple(dict.fromkeys([*names, *(name for case in study.cases for name in case.errors)]))
+    names += [name for case in study.cases for name in case.errors]
+    return tuple(name for name in dict.fromkeys(names) if name in parameters or not name.startswith("drive."))
 
 
 def write_analysis(path: Path, study: Study, name: str, result: dict[str, Any]) -> Path:
