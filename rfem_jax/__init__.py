@@ -32,8 +32,8 @@ _names = {
         "Interface ReducedBody craig_bampton load_body save_body"
     ),
     "mechanics": (
-        "AssemblyErrors Coordinates Design Model State STATUS assemble assembly_errors describe design designed "
-        "discretise parameters"
+        "AssemblyErrors Coordinates Design Deviations Model State STATUS assemble assembly_errors describe design "
+        "designed deviations discretise parameters"
     ),
     "tolerancing": (
         "CorrelatedNormal Exponential FunctionProblem Metric Normal Problem ProcessNormal Reciprocal "

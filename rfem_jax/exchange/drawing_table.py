@@ -23,6 +23,7 @@ from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.basics.joint_kinds import KINDS
 from rfem_jax.description.mechanism.joints import Joint
 from rfem_jax.description.mechanism.mechanism import Mechanism
+from rfem_jax.description.parameters.deviations import deviation_unit
 from rfem_jax.description.parameters.parameters import parameters_of
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tolerances.error_catalogue import BOWS, JOINT_ERRORS, LINK_ERRORS, as_specified
@@ -183,14 +184,22 @@ class _Table:
         }  # fmt: skip
 
     def _of_parameter(self, one: _Asked) -> dict[str, str]:
-        parameter = parameters_of(self.mechanism).find(one.name, "[tolerances]")
         owner, _, component = one.name.partition(".")
+        parameters = parameters_of(self.mechanism)
+        if owner == "drive" and one.name not in parameters:
+            return self._unshown(one, deviation_unit(self.mechanism, one.name))
+        parameter = parameters.find(one.name, "[tolerances]")
         if component.endswith("clearance.radial"):
             twice = _Asked(one.name, 2.0 * one.low, 2.0 * one.high, "", one.code)
             return _size(twice, owner, "diameter of the hole less that of the pin")
         if parameter.dimension == "length":
             return _size(one, owner, component)
-        unit, factor = as_specified(parameter.unit)
+        return self._unshown(one, parameter.unit)
+
+    def _unshown(self, one: _Asked, unit: str) -> dict[str, str]:
+        """A row without a symbol; `unit`: SI unit of the number."""
+        owner, _, component = one.name.partition(".")
+        unit, factor = as_specified(unit)
         ends = (f"{factor * end:.{_DIGITS}g}" for end in (one.low, one.high))
         return {"part": owner, "feature": component, "unit": unit, **dict(zip(("lower", "upper"), ends, strict=True))}
 

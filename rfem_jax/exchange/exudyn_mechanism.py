@@ -39,8 +39,8 @@ def exudyn_numbers(
 ) -> dict[str, Any]:
     """What `exudyn_program` builds a mechanism of, without a drive (`drive_pieces`).
 
-    **Arguments:** `errors`: without deviations of parameters, which `designed` applies; `start`: constants and state of
-    the assembled mechanism (None: the nominal start at rest, whose loops the errors leave open).
+    **Arguments:** `start`: constants and state of the assembled mechanism (None: the nominal start at rest, whose loops
+    the errors leave open).
 
     **Raises:** `InputError` for what cannot be translated.
     """

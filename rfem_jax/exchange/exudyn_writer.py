@@ -20,7 +20,6 @@ import numpy as np
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.exchange.exudyn_mechanism import drive_pieces, exudyn_numbers, require_translated
-from rfem_jax.mechanics.model.errors import assembly_errors
 from rfem_jax.mechanics.model.status import OK, STATUS
 from rfem_jax.mechanics.model.topology import BASE
 from rfem_jax.mechanics.statics.designs import designed, model_of_study
@@ -42,7 +41,7 @@ def exudyn_text(study: Study, case: str | None, source: str) -> tuple[str, tuple
     # The start of elements that are as Exudyn's, or stiff links ring along their axes at first.
     exact = replace(study, mechanism=replace(study.mechanism, elements="geometrically_exact"), statics=None)
     model = model_of_study(exact)
-    made = designed(model, None, assembly_errors(model, errors))
+    made = designed(model, None, errors)
     require_translated(made.model)  # before the assembly, which takes a while
     drive = study.designed_drive
     assert not isinstance(drive, tuple), "several have been refused"

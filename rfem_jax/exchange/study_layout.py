@@ -21,7 +21,6 @@ from rfem_jax.description.mechanism.point_forces import PointSpring
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.exchange.layout import Along, Body, Connection, Layout, Pull, Ratio
 from rfem_jax.exchange.rigid_frames import Frame, angles_of, rotation_of_quaternion
-from rfem_jax.mechanics.model.errors import assembly_errors
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.nominal_geometry import (
     NominalGeometry,
@@ -49,7 +48,7 @@ def layout_of(study: Study, case: str | None = None) -> Layout:
     errors = {} if case is None else study.case(case).errors
     rigid, remarks = with_rigid_links(study.mechanism)
     model = model_of_study(replace(study, mechanism=rigid, statics=None))
-    made = designed(model, None, assembly_errors(model, errors))
+    made = designed(model, None, errors)
     actual = _applied(made.model, made.errors)
     geometry = _with_errors(geometry_of(made.model), actual)
     start, gap = _closed(geometry, made.model)

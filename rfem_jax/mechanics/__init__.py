@@ -15,7 +15,7 @@ statics      assembled start state and preload; other numbers of a model (design
 """
 
 from rfem_jax.mechanics.model.discretisation import Structure, describe
-from rfem_jax.mechanics.model.errors import AssemblyErrors, assembly_errors
+from rfem_jax.mechanics.model.errors import AssemblyErrors, Deviations, assembly_errors, deviations
 from rfem_jax.mechanics.model.model import Coordinates, Model, State
 from rfem_jax.mechanics.model.status import STATUS
 from rfem_jax.mechanics.statics.assembly import Assembled, Load, assemble
@@ -28,6 +28,7 @@ __all__ = [
     "AssemblyErrors",
     "Coordinates",
     "Design",
+    "Deviations",
     "Load",
     "Model",
     "State",
@@ -37,6 +38,7 @@ __all__ = [
     "describe",
     "design",
     "designed",
+    "deviations",
     "discretise",
     "parameters",
 ]

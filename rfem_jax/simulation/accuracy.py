@@ -16,7 +16,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
 from rfem_jax.compilation.program import Program
@@ -24,7 +23,7 @@ from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.methods import DEFAULT_ACCURACY, Automatic, GeneralisedAlpha, Method, RungeKutta4
 from rfem_jax.mechanics.dynamics.energy_and_momentum import has_tables_over_position
 from rfem_jax.mechanics.forces.friction import require_implicit
-from rfem_jax.mechanics.model.errors import AssemblyErrors, assembly_errors
+from rfem_jax.mechanics.model.errors import AssemblyErrors, Deviations, Errors, assembly_errors
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.status import OK
 from rfem_jax.simulation import balances, integration
@@ -56,7 +55,7 @@ def choose_method(
     method: Method,
     drive: Drive = None,
     duration: float | None = None,
-    errors: AssemblyErrors | Mapping[str, ArrayLike] | None = None,
+    errors: Errors | None = None,
     save_every: float | None = None,
 ) -> Method:
     """The method itself, or, for "auto", the one that it stands for on this mechanism.
@@ -214,7 +213,9 @@ def _longer(error: float, error_of_twice: float | None, accuracy: float) -> floa
     return min((accuracy / error) ** (1.0 / order), 2.0)
 
 
-def _assemblies(model: Model, errors) -> AssemblyErrors:
+def _assemblies(model: Model, errors: Errors | None) -> AssemblyErrors:
+    if isinstance(errors, Deviations):
+        return errors.errors
     if isinstance(errors, AssemblyErrors):
         return errors
     known = {name: jnp.asarray(value) for name, value in (errors or {}).items() if name in model.topology.error_names}

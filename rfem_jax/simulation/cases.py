@@ -18,7 +18,7 @@ from rfem_jax.description.methods import Method
 from rfem_jax.description.metrics.catalogue import records_for
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.labelled_data import DataFrame, Dataset, frame
-from rfem_jax.mechanics.model.errors import AssemblyErrors, assembly_errors
+from rfem_jax.mechanics.model.errors import Deviations, deviations
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.statics.designs import model_of_study
 from rfem_jax.simulation import integration, labelled_runs
@@ -74,13 +74,13 @@ def run_cases(
     drive = study.designed_drive
     require_driven(model, drive)
     each = errors_of_cases(study, model)
-    errors = jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves), jnp.float64), *each)
-    plain = dataclasses.replace(errors, parameters=None)
-    method = choose_method(model, study.method, drive, study.require_duration(), plain, study.save_every)
+    deviating = jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves), jnp.float64), *each)
+    errors = deviating.errors
+    method = choose_method(model, study.method, drive, study.require_duration(), errors, study.save_every)
     grid, steps = integration.grid_for(drive, study.require_duration(), method, study.save_every, model)
     asked = require_records(model, records_for(study.metrics))
-    if errors.parameters is not None:
-        runs = with_limit(_run_with_parameters(model, errors, drive, study, method, asked), model, drive)
+    if deviating.parameters:
+        runs = with_limit(_run_with_parameters(model, deviating, drive, study, method, asked), model, drive)
         return model, Runs({case.name: one_of(runs, i) for i, case in enumerate(study.cases)})
     unfinished = Unfinished(keep, (model, errors, drive, study.require_duration(), method, study.save_every))
     whole = Integration.of_any_step(model, drive, grid, steps, method, errors)
@@ -96,19 +96,19 @@ def run_cases(
     runs = Runs()
     for i, (case, of_case) in enumerate(zip(study.cases, each, strict=True)):
         run = run_of(model, jax.tree.map(lambda x: np.asarray(x[i]), conclusions))
-        runs[case.name] = with_limit(of_model(run, model, of_case), model, drive)
+        runs[case.name] = with_limit(of_model(run, model, of_case.errors), model, drive)
     return model, runs
 
 
-def errors_of_cases(study: Study, model: Model) -> list[AssemblyErrors]:
-    """The errors of every case; parameters that deviate in any case do so by zero in the others."""
+def errors_of_cases(study: Study, model: Model) -> list[Deviations]:
+    """What deviates in every case; parameters that deviate in any case do so by zero in the others."""
     names = {name for case in study.cases for name in case.errors if name not in model.topology.error_names}
     zeros = dict.fromkeys(sorted(names), 0.0)
-    return [assembly_errors(model, zeros | case.errors) for case in study.cases]
+    return [deviations(model, zeros | case.errors) for case in study.cases]
 
 
 def _run_with_parameters(
-    model: Model, errors: AssemblyErrors, drive: Drive, study: Study, method: Method, asked: tuple[str, ...]
+    model: Model, errors: Deviations, drive: Drive, study: Study, method: Method, asked: tuple[str, ...]
 ) -> Run:
     """Runs whose models differ, all at once."""
 

@@ -27,7 +27,7 @@ from rfem_jax.description.drives.driven_motions import each_drive
 from rfem_jax.description.drives.rotations import PrescribedRate
 from rfem_jax.mechanics.dynamics.point_paths import PointMotion
 from rfem_jax.mechanics.laws.point_laws import changing
-from rfem_jax.mechanics.model.errors import Errors, errors_of
+from rfem_jax.mechanics.model.errors import Errors
 from rfem_jax.mechanics.model.model import Model, State
 from rfem_jax.mechanics.model.topology import Topology
 from rfem_jax.mechanics.statics.designs import Design, designed
@@ -84,7 +84,7 @@ def steady_cycle(
     model, method, design = simulation.model, simulation.chosen, simulation.design
     drive, period = _with_period(model, require_constant_rate(model, simulation.drive), design)
     grid, steps = integration.grid_for(drive, period, method, simulation.save_every, model)
-    made = designed(model, design, errors_of(model, errors))
+    made = designed(model, design, errors)
     model, errors = made.model, made.errors
     asked, revolution = require_records(model, record), Integration(model, drive, grid, method, steps)
     perfect = _perfect_paths(simulation, tolerance, most) if asks_perfect_path(asked) else {}
@@ -135,7 +135,7 @@ def cycle_run(
     model, method, design = simulation.model, simulation.chosen, simulation.design
     drive, period = _with_period(model, require_constant_rate(model, simulation.drive), design)
     grid, steps = integration.grid_for(drive, period, method, simulation.save_every, model)
-    made = designed(model, design, errors_of(model, errors))
+    made = designed(model, design, errors)
     asked = require_records(model, record)
     if asks_perfect_path(asked) and not cycle.perfect:
         raise InputError(

@@ -30,7 +30,7 @@ from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.implicit.residual import evaluate_residual
 from rfem_jax.mechanics.kinematics.slender_links import with_displacements
-from rfem_jax.mechanics.model.errors import AssemblyErrors, Errors, errors_of
+from rfem_jax.mechanics.model.errors import AssemblyErrors, Errors
 from rfem_jax.mechanics.model.inputs import DriveInput
 from rfem_jax.mechanics.model.model import Coordinates, Model, State, length_scale
 from rfem_jax.mechanics.model.orientations import moved
@@ -99,7 +99,7 @@ def natural_frequencies(
         raise InputError(f"Argument `count` must be a whole number of at least 1, but is {count!r}; 6 is usual.")
     hold = checked_hold(model, hold)
     require_masses(model)
-    made = designed(model, design, errors_of(model, errors))
+    made = designed(model, design, errors)
     modes = _natural(made.model, made.errors, hold, bool(locked), int(count))
     return modes if made.status is None else replace(modes, status=status_of(modes.status, made))
 

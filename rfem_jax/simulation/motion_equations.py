@@ -14,7 +14,7 @@ from rfem_jax.description.basics.calls import with_known_arguments
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.dynamics import energy_and_momentum
-from rfem_jax.mechanics.model.errors import Errors, errors_of
+from rfem_jax.mechanics.model.errors import Errors
 from rfem_jax.mechanics.model.inputs import Stabilisation
 from rfem_jax.mechanics.model.model import Model, State
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors, with_structural_zeros
@@ -88,7 +88,7 @@ def equations_of_motion(simulation: Simulation, errors: Errors | None = None) ->
     or stiff laws for which `simulate` has methods of its own.
     """
     simulation = simulation_of_call("equations_of_motion", simulation, {})
-    made = designed(simulation.model, simulation.design, errors_of(simulation.model, errors))
+    made = designed(simulation.model, simulation.design, errors)
     model = made.model
     if model.topology.reduced:
         raise InputError(

@@ -17,7 +17,7 @@ from typing import Any
 import diffrax
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.mechanics.model.errors import AssemblyErrors, Errors, errors_of
+from rfem_jax.mechanics.model.errors import AssemblyErrors, Deviations, Errors, deviations_of
 from rfem_jax.mechanics.model.model import Model, State
 from rfem_jax.mechanics.statics.designs import Design, designed
 from rfem_jax.simulation.conclusion import Conclusion, run_of_design
@@ -56,7 +56,7 @@ def simulate(
     model, method, design = simulation.model, simulation.chosen, simulation.design
     grid, steps = grid_for(simulation.drive, simulation.require_duration(), method, simulation.save_every, model)
     drive = drive_of_design(model, simulation.drive, design)
-    errors = errors_of(model, errors)
+    errors = deviations_of(model, errors)
     made = designed(model, design, errors)
     integration = Integration.of_any_step(made.model, drive, grid, steps, method, (made, simulation.start))
     asked = require_records(made.model, record)
@@ -82,9 +82,9 @@ def simulated(
     return conclude(integration, prepared, carry, ends, asked, paths)
 
 
-def perfect_model(model: Model, design: Design | None, errors: AssemblyErrors, asked: Sequence[str]) -> Model | None:
+def perfect_model(model: Model, design: Design | None, errors: Deviations, asked: Sequence[str]) -> Model | None:
     """The model from which errors of paths are measured, if any record asks for these and it is not the one that is
     simulated: without deviations of parameters, which that has."""
-    if errors.parameters is None or not asks_perfect_path(asked):
+    if not errors.parameters or not asks_perfect_path(asked):
         return None
     return designed(model, design).model

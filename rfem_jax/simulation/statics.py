@@ -40,7 +40,7 @@ from rfem_jax.mechanics.forces.element_loads import FrameLoads
 from rfem_jax.mechanics.forces.joint_forces import LawForces
 from rfem_jax.mechanics.kinematics.cut_joints import Closure
 from rfem_jax.mechanics.kinematics.motion import Motion
-from rfem_jax.mechanics.model.errors import AssemblyErrors, Errors, assembly_errors, errors_of
+from rfem_jax.mechanics.model.errors import Deviations, Errors, assembly_errors, deviations_of
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.model.model import Coordinates, Model, State, length_scale
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors, apply_errors
@@ -183,7 +183,7 @@ def static_loads(
     require_float64()
     asked = require_records(model, (*usual_records(model), *([record] if isinstance(record, str) else record)))
     poses = poses_at(model, positions)
-    return static_loads_at(model, errors_of(model, errors), poses, asked, design)
+    return static_loads_at(model, deviations_of(model, errors), poses, asked, design)
 
 
 def inverse_dynamics(
@@ -210,7 +210,7 @@ def inverse_dynamics(
     require_float64()
     asked = require_records(model, [record] if isinstance(record, str) else record)
     poses = poses_at(model, positions, rates or {}, accelerations or {})
-    return static_loads_at(model, errors_of(model, errors), poses, asked, design)
+    return static_loads_at(model, deviations_of(model, errors), poses, asked, design)
 
 
 def usual_records(model: Model) -> tuple[str, ...]:
@@ -225,7 +225,7 @@ def usual_records(model: Model) -> tuple[str, ...]:
 @partial(Program, nameless=True)
 def static_loads_at(
     model: Model,
-    errors: AssemblyErrors,
+    errors: Deviations,
     poses: ClosedPose | None,
     asked: Sequence[str],
     design: Design | None = None,

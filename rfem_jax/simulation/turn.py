@@ -26,7 +26,7 @@ from rfem_jax.mechanics.dynamics.load_axes import AXES, turned_loads
 from rfem_jax.mechanics.dynamics.point_paths import point_motions
 from rfem_jax.mechanics.elements.linear_validity import linear_error, linear_range
 from rfem_jax.mechanics.forces.bush_contacts import ContactState, contact_states
-from rfem_jax.mechanics.model.errors import AssemblyErrors, Errors, errors_of
+from rfem_jax.mechanics.model.errors import AssemblyErrors, Deviations, Errors, deviations_of
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics.assembly import Load, held_angles, named
@@ -155,11 +155,11 @@ def kinetostatic_turn(
         )
     positions = turn_positions(model) if positions is None else np.atleast_1d(np.asarray(positions, float))
     poses = closed_poses(model, positions)
-    return turn_over(model, errors_of(model, errors), poses, axes)
+    return turn_over(model, deviations_of(model, errors), poses, axes)
 
 
 @partial(Program, nameless=True)
-def turn_over(model: Model, errors: AssemblyErrors, poses: ClosedPose, axes: str = "joint") -> Turn:
+def turn_over(model: Model, errors: Deviations, poses: ClosedPose, axes: str = "joint") -> Turn:
     """The turn over closed poses; `axes`: as of `kinetostatic_turn`."""
     made = designed(model, None, errors)
     at_pose = kernel(partial(held_at, axes=axes), name="held still", in_parts=True)

@@ -10,8 +10,8 @@ from rfem_jax import (
     Mechanism,
     Rectangle,
     RigidBody,
-    assembly_errors,
     design,
+    deviations,
     discretise,
     load_study,
     parameters,
@@ -116,9 +116,9 @@ def test_what_does_not_grow_has_no_temperature(refused, tmp_path):
     with refused("`a.temperature`", "`thermal_expansion`"):
         design(model, {"a.temperature": 3.0})
     with refused("`a.temperature`", "`thermal_expansion`"):
-        assembly_errors(model, {"a.temperature": 3.0})
+        deviations(model, {"a.temperature": 3.0})
     with refused("`a.temperature_gradient_z`", "`thermal_expansion`"):
-        assembly_errors(model, {"a.temperature_gradient_z": 3.0})
+        deviations(model, {"a.temperature_gradient_z": 3.0})
 
 
 @pytest.mark.parametrize(

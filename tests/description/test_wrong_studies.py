@@ -1,4 +1,4 @@
-"""186 wrong study files and the sentences that reading them gives, word for word.
+"""188 wrong study files and the sentences that reading them gives, word for word.
 
 `wrong_studies.json` holds, for each, which study it is made of, by which edits, and what is told; a sentence that
 changes on purpose is changed there by hand. Lists that grow with every new force, drive, section, method or key of a

@@ -26,6 +26,7 @@ TOLERANCES = """
 "rod.straightness" = "0.1 mm"
 "bar.width" = { iso = "12 h9" }
 "load.stiffness" = 10.0
+"drive.rate" = 0.1
 """
 
 
@@ -61,7 +62,8 @@ def test_symbols_are_those_of_the_standard():
 def test_errors_zones_and_sizes(path):
     text, left = drawing_text(load_study(path))
     rows = rows_of(text)
-    assert left == ("load.stiffness, which no drawing shows",)
+    assert left == ("load.stiffness, which no drawing shows", "drive.rate, which no drawing shows")
+    assert (rows["drive.rate"]["upper"], rows["drive.rate"]["unit"]) == ("0.1", "rad/s")
     # A displacement is between planes as far apart as its interval; a tilt so wide over 100 mm.
     assert (rows["A.d_x"]["symbol"], rows["A.d_x"]["value"], rows["A.d_x"]["unit"]) == (
         SYMBOLS["position"],

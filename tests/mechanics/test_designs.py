@@ -8,7 +8,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import STATUS, InputError, Rectangle, assemble, assembly_errors, design, designed, discretise, parameters
+from rfem_jax import (
+    STATUS,
+    InputError,
+    Rectangle,
+    assemble,
+    assembly_errors,
+    design,
+    designed,
+    deviations,
+    discretise,
+    parameters,
+)
 from rfem_jax.mechanics.model.nominal_geometry import gaps, geometry_of, place
 from tests.mechanisms import STEEL, chain_with_couplings, chain_with_forces, compliant_four_bar, four_bar
 
@@ -135,10 +146,25 @@ def test_statics_of_a_design_and_its_derivatives():
 def test_a_parameter_deviates_like_an_error():
     # A length as a parameter's deviation under its full name, and as the error.
     model = discretise(four_bar(rfes=2))
-    one, other = (assembly_errors(model, {name: 2e-4}) for name in ("rocker.length", "link.rocker.length"))
-    assert one.parameters is None and other.parameters is not None
+    one, other = (deviations(model, {name: 2e-4}) for name in ("rocker.length", "link.rocker.length"))
+    assert not one.parameters and [*other.parameters] == ["link.rocker.length"]
     found = [assemble(model, errors).preload["D"].force for errors in (one, other)]
     np.testing.assert_allclose(found[0], found[1], rtol=1e-8, atol=1e-8)
+
+
+def test_errors_of_assembly_are_no_parameters():
+    """A call of the version before, which warns, means what it meant."""
+    model = discretise(four_bar(rfes=2))
+    values = {"D.delta_x": 2e-3, "rocker.section.height": 1e-4}
+    with pytest.warns(DeprecationWarning, match=r"write deviations\(model"):
+        former = assembly_errors(model, values)
+    made = [designed(model, None, errors) for errors in (former, deviations(model, values), values)]
+    joint, link = model.topology.joints.index("D"), model.topology.links.index("rocker")
+    for one in made:
+        assert float(one.errors.seat[0, joint]) == 2e-3 and one.status is not None
+        np.testing.assert_allclose(
+            one.model.section.stiffness[0, link], 1.01 * model.section.stiffness[0, link], rtol=1e-12
+        )
 
 
 def test_new_numbers_do_not_retrace():

@@ -34,9 +34,9 @@ from rfem_jax import (
     Rectangle,
     RigidBody,
     Tube,
-    assembly_errors,
     design,
     designed,
+    deviations,
     discretise,
     parameters,
 )
@@ -304,7 +304,7 @@ def test_designs_and_deviations_outside_of_a_program(described, model):
             continue  # it is of the other mechanism
         wanted = leaves_of(arrays_of(parts_of(with_values(described, values)), structure))
         more = {name: value - named[name].value for name, value in values.items()}
-        for one in (designed(model, design(model, values)), designed(model, None, assembly_errors(model, more))):
+        for one in (designed(model, design(model, values)), designed(model, None, deviations(model, more))):
             found = leaves_of(one.model)
             for path in wanted:
                 if not path.startswith((".start_joints", ".cut_angles")):

@@ -28,6 +28,13 @@ name = "nominal"
 name = "longer"
 errors = {{ "arm.length" = "2 mm" }}
 """
+DENSER = """
+[[cases]]
+name = "denser"
+errors = { "steel.density" = "100 kg/m^3" }
+[tolerances]
+"drive.rate" = 0.1
+"""
 
 
 @pytest.fixture(autouse=True)
@@ -46,10 +53,12 @@ def study(tmp_path):
 @pytest.mark.long
 def test_modes_of_all_cases_with_derivatives(study, tmp_path, capsys):
     out = tmp_path / "out"
+    study.write_text(STUDY + DENSER, encoding="utf-8")
     assert main(["modes", str(study), "--out", str(out), "--count", "2"]) == 0
     text = capsys.readouterr().out
     assert "nominal, Hz" in text and "arm.length" in text and "4 files written" in text
     content = json.loads((out / "modes.json").read_text(encoding="utf-8"))
+    assert "drive.rate" not in text  # which no frequency depends on
     assert content["units"]["frequency"] == "Hz" and content["analysis"] == "modes"
     first, longer = (content["cases"][name] for name in ("nominal", "longer"))
     assert first["status"] == longer["status"] == "ok"
@@ -57,7 +66,9 @@ def test_modes_of_all_cases_with_derivatives(study, tmp_path, capsys):
     mean = (first["modes"][0]["derivatives"]["arm.length"] + longer["modes"][0]["derivatives"]["arm.length"]) / 2
     assert difference == pytest.approx(mean, rel=1e-3)
     rows = list(csv.DictReader((out / "modes.csv").read_text(encoding="utf-8").splitlines()))
-    assert len(rows) == 4 and float(rows[0]["by_arm.length_Hz_m"]) < 0
+    assert len(rows) == 6 and float(rows[0]["by_arm.length_Hz_m"]) < 0
+    denser = content["cases"]["denser"]["modes"][0]["frequency"]  # without gravity's part, which is small
+    assert denser / first["modes"][0]["frequency"] == pytest.approx((7850 / 7950) ** 0.5, rel=1e-5)
     assert (out / "modes.png").stat().st_size > 1000
     shape = content["shapes"]["links"]["arm"]
     points, moves = np.array(shape["points"]), np.array(shape["moves"])

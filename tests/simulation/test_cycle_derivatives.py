@@ -14,8 +14,8 @@ from rfem_jax import (
     RigidBody,
     RungeKutta4,
     Simulation,
-    assembly_errors,
     cycle_run,
+    deviations,
     discretise,
     steady_cycle,
 )
@@ -50,8 +50,8 @@ def mean_square(numbers):
 @pytest.mark.long
 def test_derivatives_of_a_cycle_are_those_of_a_driven_oscillator(model):
     def place(cycle, numbers):
-        deviations = dict(zip(NAMES, numbers - POINT, strict=True))
-        run = cycle_run(cycle, Simulation(model, **SETTINGS), assembly_errors(model, deviations))
+        away = dict(zip(NAMES, numbers - POINT, strict=True))
+        run = cycle_run(cycle, Simulation(model, **SETTINGS), deviations(model, away))
         return jnp.mean(run.motion.displacements["P"][:-1] ** 2)
 
     cycle = steady_cycle(Simulation(model, **SETTINGS), tolerance=1e-11)
@@ -66,7 +66,7 @@ def test_derivatives_of_a_cycle_are_those_of_a_driven_oscillator(model):
     np.testing.assert_allclose(backward, forward, rtol=1e-8)
 
     def of_new_cycle(stiffness):
-        errors = assembly_errors(model, {"slide.stiffness": stiffness})
+        errors = deviations(model, {"slide.stiffness": stiffness})
         return np.mean(
             np.asarray(
                 steady_cycle(Simulation(model, **SETTINGS), errors, tolerance=1e-12).run.motion.displacements["P"][:-1]

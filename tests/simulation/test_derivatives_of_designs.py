@@ -21,8 +21,8 @@ from rfem_jax import (
     PointSpring,
     Rectangle,
     Simulation,
-    assembly_errors,
     design,
+    deviations,
     discretise,
     parameters,
     simulate,
@@ -73,7 +73,7 @@ def test_every_number_of_a_description(elements):
             Simulation(
                 model, drive=MomentRamp("A", 1.5, 3e-3), duration=6e-3, method=METHOD, design=design(model, wanted)
             ),
-            assembly_errors(model, deviating),
+            deviations(model, deviating),
         )
         squares = [*run.metrics.mean_square_force.values(), *run.metrics.mean_square_moment.values()]
         return jnp.stack([*squares, run.motion.angle[-1], run.status.astype(float)])

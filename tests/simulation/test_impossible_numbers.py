@@ -20,7 +20,7 @@ from rfem_jax import (
     Simulation,
     Tolerances,
     assemble,
-    assembly_errors,
+    deviations,
     discretise,
     monte_carlo,
     simulate,
@@ -58,7 +58,7 @@ IMPOSSIBLE = {
 def test_samples_of_a_batch(model, name):
     """They have a status, and their neighbours are what they are alone."""
     values = jnp.array([0.0, IMPOSSIBLE[name], 1e-3, -1e-4])
-    batch = jax.jit(jax.vmap(lambda value: run(model, assembly_errors(model, {name: value}))))
+    batch = jax.jit(jax.vmap(lambda value: run(model, deviations(model, {name: value}))))
     runs = batch(values)
     assert np.asarray(runs.status).tolist() == [OK, DESIGN_OUT_OF_RANGE, OK, OK]
     assert "is impossible" in STATUS[DESIGN_OUT_OF_RANGE].message
@@ -72,7 +72,7 @@ def test_samples_of_a_batch(model, name):
 
 @pytest.mark.parametrize("name, value", IMPOSSIBLE.items())
 def test_concrete_numbers_are_refused(model, name, value):
-    errors = assembly_errors(model, {name: value})
+    errors = deviations(model, {name: value})
     for computed in (lambda: run(model, errors), lambda: assemble(model, errors)):
         with pytest.raises(InputError, match=rf"`errors` must .*`{name.split('.')[0]}.*; .*\.$") as refused:
             computed()

@@ -46,8 +46,8 @@ from rfem_jax import (
     RungeKutta4,
     Simulation,
     Tube,
-    assembly_errors,
     design,
+    deviations,
     discretise,
     parameters,
     simulate,
@@ -322,7 +322,7 @@ def test_forward_reverse_and_differences_agree(made):
                 start=at_rest,
                 design=design(model, wanted) if wanted else None,
             ),
-            assembly_errors(model, deviating),
+            deviations(model, deviating),
         )
         squares = [*run.metrics.mean_square_force.values(), *run.metrics.mean_square_moment.values()]
         ends = [x[-1] for x in (*run.motion.angles.values(), *run.motion.displacements.values())]

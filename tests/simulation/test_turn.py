@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import InputError, Joint, Mechanism, assemble, assembly_errors, discretise, kinetostatic_turn
+from rfem_jax import InputError, Joint, Mechanism, assemble, assembly_errors, deviations, discretise, kinetostatic_turn
 from rfem_jax.mechanics.forces.bush_contacts import carrying
 from rfem_jax.simulation.turn import closed_poses, turn_over, turn_positions
 from rfem_jax.validation.clearances import TILT, flexible_four_bar
@@ -31,7 +31,7 @@ def test_an_arm_is_held_against_its_weight_over_a_revolution():
     axial = mass * gravity * np.abs(np.sin(turn.position)) / 0.01**2
     np.testing.assert_allclose(turn.stress["arm"], bending + axial, rtol=1e-6)
     assert not turn.status.any()
-    higher = assembly_errors(model, {"arm.section.height": 1e-3})  # of 10 mm
+    higher = deviations(model, {"arm.section.height": 1e-3})  # of 10 mm
     heavier = evaluated(lambda: kinetostatic_turn(model, higher, positions))()
     np.testing.assert_allclose(heavier.holding, 1.1 * turn.holding, atol=1e-12)
     assert not heavier.status.any()
@@ -114,7 +114,7 @@ def test_contacts_of_a_turn_are_those_of_assemblies_and_loads_have_derivatives_b
 
     def turned(deviation):
         def turn(deviation):
-            return turn_over(model, assembly_errors(model, {**wrong, "D.clearance.radial": deviation}), poses)
+            return turn_over(model, deviations(model, {**wrong, "D.clearance.radial": deviation}), poses)
 
         found, change = jax.jvp(turn, (deviation,), (jnp.ones(()),))
         own = found.status, found.loads["D"], found.contacts["D"]
@@ -130,7 +130,7 @@ def test_contacts_of_a_turn_are_those_of_assemblies_and_loads_have_derivatives_b
     states = [carrying(depth) for depth in contacts.penetration]
     assert states == [("start", "end", "axial")] * 2
     for i, position in enumerate(positions):
-        one = assemble(model, assembly_errors(model, {**wrong, "D.clearance.radial": tight}), hold={"A": position})
+        one = assemble(model, deviations(model, {**wrong, "D.clearance.radial": tight}), hold={"A": position})
         assert int(one.status) == 0 and one.contacts["D"].carrying == states[i]
         for values, other in ((contacts, one.contacts["D"]), (loads, one.preload["D"])):
             for name, part in values._asdict().items():

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import rfem_jax
-from rfem_jax import assembly_errors, discretise, kinetostatic_turn, load_study
+from rfem_jax import deviations, discretise, kinetostatic_turn, load_study
 
 STUDIES = Path(rfem_jax.__file__).parent / "report" / "starting_studies"
 
@@ -44,7 +44,7 @@ def test_a_geared_five_bar():
     start, tooth = -0.5 * np.pi, 0.004
     first = start + np.radians(np.arange(0.0, 360.0, 30.0))
     model = started("geared_five_bar")
-    turn = kinetostatic_turn(model, assembly_errors(model, {"mesh.pitch_error": tooth}), first)
+    turn = kinetostatic_turn(model, deviations(model, {"mesh.pitch_error": tooth}), first)
     assert (np.asarray(turn.status) == 0).all()
     load = np.asarray(turn.couplings["mesh"])
     second = start + RATIO * (first + tooth - start) - load[:, 1] / MESH
@@ -73,7 +73,7 @@ def test_a_planetary_train():
         inner, outer = (np.asarray(perfect.couplings[f"{name}_{n}"]) for name in ("sun", "ring"))
         assert_allclose(inner, np.tile([moment / 3.0, share], (3, 1)), rtol=1e-9)
         assert_allclose(outer, np.tile([-share * ratio[1], -share], (3, 1)), rtol=1e-9)
-    early = kinetostatic_turn(model, assembly_errors(model, {"ring_1.pitch_error": off}), angles)
+    early = kinetostatic_turn(model, deviations(model, {"ring_1.pitch_error": off}), angles)
     assert_allclose(early.holding, moment * (1.0 + ring / sun), rtol=1e-9)
     for n, part in ((1, 2.0 / 3.0), (2, -1.0 / 3.0), (3, -1.0 / 3.0)):
         wanted = share + 0.5 * stiffness * ratio[1] * off * part

@@ -26,6 +26,7 @@ from rfem_jax import (
     assemble,
     assembly_errors,
     design,
+    deviations,
     discretise,
     parameters,
     static_loads,
@@ -59,7 +60,7 @@ def held(temperature=None, rfes=4, elements="linear", bearing=None, temperature_
 
 def push(model, errors=None):
     """What the bar exerts on its far clamp [N], and the status of assembly."""
-    assembled = assemble(model, assembly_errors(model, errors), {})
+    assembled = assemble(model, deviations(model, errors), {})
     return -assembled.preload["B"].force[0], assembled.status
 
 
@@ -103,7 +104,7 @@ class TestHeldBar:
             made = designed(
                 model,
                 design(model, {"steel.thermal_expansion": numbers[0]}),
-                assembly_errors(model, {"bar.temperature": numbers[1], "base.temperature": numbers[2]}),
+                deviations(model, {"bar.temperature": numbers[1], "base.temperature": numbers[2]}),
             )
             return assemble(made.model, made.errors, {}).preload["B"].force[:1]
 
@@ -149,7 +150,7 @@ class TestGradient:
     @pytest.mark.parametrize("elements", ["linear", "geometrically_exact"])
     def test_free_and_clamped(self, elements):
         clamped = held(elements=elements)
-        far = assemble(clamped, assembly_errors(clamped, BENT), {}).preload["B"]
+        far = assemble(clamped, deviations(clamped, BENT), {}).preload["B"]
         moment = BENDING * ALPHA * GRADIENT
         np.testing.assert_allclose(far.moment, [0.0, -moment, 0.5 * moment], rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(far.force, 0.0, atol=1e-9)
@@ -168,7 +169,7 @@ class TestGradient:
     def test_forces_are_slopes_of_the_energy(self, elements):
         """At any position, so that runs balance their energy."""
         model = held(elements=elements)
-        made = designed(model, None, assembly_errors(model, BENT))
+        made = designed(model, None, deviations(model, BENT))
         actual, start = apply_errors(made.model, made.errors), model.start_coordinates()
         moved = 1e-2 * np.random.default_rng(0).normal(size=start.elastic.shape)
 
@@ -192,7 +193,7 @@ class TestGradient:
         def answers(numbers):
             errors = dict(zip((*BENT, "bar.length"), numbers[:3], strict=True))
             chosen = design(model, {"steel.thermal_expansion": numbers[3]})
-            made = designed(model, chosen, assembly_errors(model, errors))
+            made = designed(model, chosen, deviations(model, errors))
             return assemble(made.model, made.errors, {}).preload["B"].moment[1:]
 
         at = np.array([*BENT.values(), 0.0, ALPHA])
@@ -284,7 +285,7 @@ def test_a_warm_coupler_is_a_longer_one():
     longer = replace(coupler, length=coupler.length * growth, material=replace(STEEL, name="light",
                      density=STEEL.density / growth))  # fmt: skip
     model, other = discretise(cold), discretise(replace(cold, links=[cold.links[0], longer, cold.links[2]]))
-    deviates = assembly_errors(model, {"coupler.temperature": 100.0})
+    deviates = deviations(model, {"coupler.temperature": 100.0})
     erroneous = assembly_errors(model, {"coupler.length": (growth - 1.0) * coupler.length})
     warm, wanted, heavier = (
         assemble(*pair) for pair in ((model, deviates), (other, assembly_errors(other)), (model, erroneous))
@@ -299,9 +300,9 @@ def test_a_warm_coupler_is_a_longer_one():
     # As warm as its base and its links, it is a larger one of the same shape, which stands at the same angles.
     model = discretise(replace(cold, base=Base(ALPHA), gravity=NOTHING))
     alike = dict.fromkeys(["base.temperature", *(f"{one.name}.temperature" for one in cold.links)], 100.0)
-    grown, before = (assemble(model, assembly_errors(model, errors)) for errors in (alike, {}))
+    grown, before = (assemble(model, deviations(model, errors)) for errors in (alike, {}))
     np.testing.assert_allclose(grown.state.position.joints, before.state.position.joints, rtol=0, atol=1e-10)
-    frame = assemble(model, assembly_errors(model, {"base.temperature": 100.0}))
+    frame = assemble(model, deviations(model, {"base.temperature": 100.0}))
     apart = replace(cold, gravity=NOTHING)
     joints = [replace(one, position=(0.3 * growth, 0, 0)) if one.name == "D" else one for one in apart.joints]
     moved = discretise(replace(apart, joints=joints))

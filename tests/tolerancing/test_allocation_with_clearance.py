@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import FunctionProblem, Reciprocal, allocate, assemble, assembly_errors
+from rfem_jax import FunctionProblem, Reciprocal, allocate, assemble, deviations
 from rfem_jax.validation.clearances import HARD, HERTZ, PLAY, shaft
 
 TILT, RADIAL = "D.delta_x", "D.clearance.radial"
@@ -19,7 +19,7 @@ def test_a_tilt_and_the_clearance_that_bears_it_are_allocated_together():
     model = shaft()
 
     def moment(errors):
-        made = assemble(model, assembly_errors(model, dict(errors)))
+        made = assemble(model, deviations(model, dict(errors)))
         return {"D.moment_square": jnp.sum(made.preload["D"].moment ** 2)}, made.status
 
     tilt, radial = 2e-2, 3e-5

@@ -5,6 +5,7 @@ those of the mechanism at rest.
 """
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -12,6 +13,7 @@ from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError,
 from rfem_jax.description.basics.units import quantity
 from rfem_jax.description.drives.driven_motions import motion_label
 from rfem_jax.description.mechanism.mechanism import STARTS, Mechanism
+from rfem_jax.description.parameters.parameters import parameters_of
 
 MOST_POSITIONS = 100_000
 _EXAMPLES = {"positions": '["0 deg", "30 deg"]', "rates": '"60 rpm"', "accelerations": '"100 rad/s^2"'}
@@ -129,3 +131,14 @@ def _motion_of(mechanism: Mechanism, name: str, argument: str) -> tuple[str, str
         told = (re.sub("^Argument `(driven_joint|name)`", where, one) for one in error.problems)
         raise InputError(*told) from None
     return motion_label(joint, mechanism.joint(joint).kind, motion), motion
+
+
+def require_no_drive(mechanism: Mechanism, names: Iterable[str], where: str) -> None:
+    """Raise InputError for numbers of drives, which do nothing in the tasks of a study with [statics]."""
+    known = parameters_of(mechanism)
+    of_drives = [name for name in names if name.startswith("drive.") and name not in known]
+    if of_drives:
+        raise InputError(
+            f"Argument {where} must name what acts at rest, since the study has [statics], but has `{of_drives[0]}`; "
+            "leave it out."
+        )

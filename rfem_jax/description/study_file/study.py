@@ -45,7 +45,7 @@ from rfem_jax.description.metrics.shaking_metrics import with_shaking
 from rfem_jax.description.metrics.subjects import points_of, require_metric, subjects_of
 from rfem_jax.description.parameters.design_table import read_design
 from rfem_jax.description.parameters.deviations import known_while_reading, require_signs, require_sizes
-from rfem_jax.description.study_file.statics import Statics
+from rfem_jax.description.study_file.statics import Statics, require_no_drive
 from rfem_jax.description.study_file.study_reader import (
     read_drive,
     read_drives,
@@ -337,6 +337,13 @@ class Study(ChecksItself):
             with problems.noted():
                 metrics = getattr(self.tasks.asked[name], "metrics", ())
                 require_at_rest(metrics, f" of the task `{name}`, whose study has [statics],")
+            with problems.noted():
+                require_no_drive(
+                    self.mechanism, getattr(self.tasks.asked[name], "bounds", None) or (), f"`bounds` of [{name}]"
+                )
+        with problems.noted():
+            tolerances = self.tasks.tolerances
+            require_no_drive(self.mechanism, () if tolerances is None else tolerances.names, "`[tolerances]`")
         problems.refuse()
 
     def _resolve_statics(self) -> None:

@@ -52,6 +52,11 @@ def error_dimension(name: object, also: Collection[str] = ()) -> str:
             "Argument `name` of an error must be a joint or a link, a dot and the kind of error, "
             f'but was {name!r}; write for example "D.delta_x" or "coupler.length".'
         )
+    if owner == "drive":
+        raise InputError(
+            "Argument `name` of an error must not be of a drive, which all cases share, but is "
+            f"`{name}`; vary it by [sweep] or [tolerances], or make a study of its own."
+        )
     if component.startswith("temperature_gradient_"):
         raise InputError(
             f"Argument `name` of an error must be of a flexible link that grows with its temperature, but `{owner}` is "

@@ -1,11 +1,14 @@
-"""Assembly errors by their names, as arrays over joints and links.
+"""What deviates from the nominal mechanism, by its names: errors of assembly as arrays over joints and links, and
+numbers of the description.
 
-Place in the pipeline: model, names and numbers -> **errors** -> with_errors, designs.
+Place in the pipeline: model, names and numbers -> **errors** -> designs, which put the numbers into the model;
+with_errors, which applies what is left.
 """
 
 import dataclasses
+import warnings
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import NamedTuple, overload
 
 import equinox as eqx
 import jax
@@ -19,12 +22,14 @@ from rfem_jax.compilation.naming import Names
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.basics.errors import InputError, suggestion
 from rfem_jax.description.basics.units import quantity
+from rfem_jax.description.parameters.parameters import ParameterNames
 from rfem_jax.description.tolerances.error_catalogue import BOWS, NO_BOW, error_dimension
 from rfem_jax.mechanics.algebra.reordering import rows
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.planar_loops import require_closable
 from rfem_jax.mechanics.model.topology import Topology
 
+NO_PARAMETERS = ParameterNames(())  # of a model that has lost its description
 HALF_TURN = np.pi * (1.0 + 1e-12)  # rad
 
 
@@ -40,14 +45,13 @@ class Owners(NamedTuple):
 
 
 class AssemblyErrors(eqx.Module):
-    """Deviations from the nominal mechanism, all zero by default.
+    """Errors of the assembly, all zero by default.
 
     seat, bore: (delta_x, delta_z [rad], d_x, d_y, d_z [m]) of every joint in its parent and child, and delta_y
     [rad] last where any joint may have it (`Topology.error_components`); pin: tilts [rad] about x and z of a crooked
     pin, on both sides at once; length [m] and twist [rad] of every link; bow [m] along y and z of every link,
-    None where no link has errors of form; parameters: deviations of numbers of the
-    description from their values [SI units], by their full names, which `designed` adds to these; None without any.
-    owners: whose errors these are, so that no other mechanism takes them for its own.
+    None where no link has errors of form; owners: whose errors these are, so that no other mechanism takes them for its
+    own.
     """
 
     seat: Float[Array, "components joints"]
@@ -56,20 +60,76 @@ class AssemblyErrors(eqx.Module):
     length: Float[Array, " links"]
     twist: Float[Array, " links"]
     bow: Float[Array, "2 links"] | None = None
-    parameters: dict[str, Float[Array, ""]] | None = None
     owners: Owners | None = eqx.field(static=True, default=None)
 
 
-def assembly_errors(model: Model, values: Mapping[str, ArrayLike | str] | None = None) -> AssemblyErrors:
+class Deviations(eqx.Module):
+    """What deviates from the nominal mechanism.
+
+    errors: of the assembly; parameters: deviations of numbers of the description from their values [SI units], by their
+    full names, which `designed` adds to these.
+    """
+
+    errors: AssemblyErrors
+    parameters: dict[str, Float[Array, ""]] = eqx.field(default_factory=dict)
+
+
+Errors = Deviations | AssemblyErrors | Mapping[str, ArrayLike | str]  # or by names [rad, m, or strings with a unit]
+
+
+@overload
+def assembly_errors(model: Model, values: None = None) -> AssemblyErrors: ...
+
+
+@overload
+def assembly_errors(model: Model, values: Mapping[str, ArrayLike | str]) -> AssemblyErrors: ...
+
+
+def assembly_errors(model: Model, values: Mapping[str, ArrayLike | str] | None = None) -> AssemblyErrors | Deviations:
     """The errors with the given names, every other one zero.
 
     **Arguments:** `values`: name -> number in rad or m, array scalar (traced or not), or a string
-    with a unit; names as "D.delta_x", "D.d_y", "C.child.delta_z", "C.pin_tilt_x", "coupler.length", or of any other
-    parameter of the model (`rfem_jax.parameters`), which then deviates from its value by a number in its unit.
+    with a unit; names as "D.delta_x", "D.d_y", "C.child.delta_z", "C.pin_tilt_x", "coupler.length".
+
+    **Raises:** `InputError` for a name that the model does not have. A name of a number of the description, of which
+    `deviations` tells, makes this a call of an earlier version, which warns.
+    """
+    found = deviations(model, values)
+    if not found.parameters:
+        return found.errors
+    warnings.warn(
+        f"`assembly_errors` makes errors of the assembly; {next(iter(found.parameters))!r} is a number of the "
+        "description: write deviations(model, {...}), which a later version needs.",
+        DeprecationWarning,
+        stacklevel=2,
+    )
+    return found
+
+
+def deviations(model: Model, values: Mapping[str, ArrayLike | str] | None = None) -> Deviations:
+    """What deviates, by names of errors, as of `assembly_errors`, and of numbers of the description.
+
+    **Arguments:** `values`: name -> number, array scalar (traced or not), or a string with a unit; beside errors
+    [rad, m] any parameter of the model (`rfem_jax.parameters`), which then differs from its value by a number in its
+    unit.
 
     **Raises:** `InputError` for a name that the model does not have.
     """
-    topology = model.topology
+    _require_closable(model, values or {})
+    errors, parameters = {}, {}
+    names = NO_PARAMETERS if model.source is None else model.source.blueprint.names
+    for name, value in (values or {}).items():
+        _require_number(name, value)
+        if name in names and name not in model.topology.error_names:
+            number = quantity(value, names[name].dimension, f"error {name!r}") if isinstance(value, str) else value
+            parameters[names[name].full] = jnp.asarray(number, jnp.float64)
+        else:
+            errors[name] = value
+    return Deviations(_errors_by_name(model.topology, errors, names), parameters)
+
+
+def _errors_by_name(topology: Topology, values: Mapping[str, ArrayLike | str], names: ParameterNames) -> AssemblyErrors:
+    """The errors of the given names; `names`: of the model's numbers."""
     n_joints, n_links = len(topology.joints), topology.n_links
     parts = {
         "seat": np.zeros((len(topology.error_components), n_joints)),
@@ -78,16 +138,9 @@ def assembly_errors(model: Model, values: Mapping[str, ArrayLike | str] | None =
         "length": np.zeros(n_links),
         "twist": np.zeros(n_links),
     } | ({"bow": np.zeros((2, n_links))} if topology.formed else {})
-    traced, deviations = [], {}
-    _require_closable(model, values or {})
-    for name, value in (values or {}).items():
-        _require_number(name, value)
-        if name not in topology.error_names and model.source is not None and name in model.source.blueprint.names:
-            parameter = model.source.blueprint.names[name]
-            number = quantity(value, parameter.dimension, f"error {name!r}") if isinstance(value, str) else value
-            deviations[parameter.full] = jnp.asarray(number, jnp.float64)
-            continue
-        part, place = _locate(topology, name, "" if model.source is None else model.source.blueprint.names.about(name))
+    traced = []
+    for name, value in values.items():
+        part, place = _locate(topology, name, names.about(name))
         if isinstance(value, str):
             value = quantity(value, error_dimension(name), f"error {name!r}")
         if isinstance(value, Tracer):
@@ -95,38 +148,34 @@ def assembly_errors(model: Model, values: Mapping[str, ArrayLike | str] | None =
         else:
             parts[part][place] = value
     arrays = {part: jnp.asarray(values, jnp.float64) for part, values in parts.items()}
-    errors = AssemblyErrors(
-        arrays["seat"], arrays["bore"], arrays["pin"], arrays["length"], arrays["twist"], arrays.get("bow"),
-        owners=Owners(topology.joints, topology.links),
-    )  # fmt: skip
-    errors = _insert(errors, *zip(*traced)) if traced else errors
-    return dataclasses.replace(errors, parameters=deviations) if deviations else errors
+    errors = AssemblyErrors(**arrays, owners=Owners(topology.joints, topology.links))
+    return _insert(errors, *zip(*traced)) if traced else errors
 
 
 def _require_closable(model: Model, values: Mapping[str, ArrayLike | str]) -> None:
     """Raise InputError for traced errors that open planar loops of rigid links across their plane."""
     names = [name for name, x in values.items() if isinstance(x, Tracer)] if model.topology.across else []
-    parameters = {} if model.source is None else model.source.blueprint.names
+    parameters = NO_PARAMETERS if model.source is None else model.source.blueprint.names
     numbers = [parameters[name].full for name in names if name in parameters]
     require_closable(model, [*(name for name in names if name in model.topology.error_names), *numbers], "errors")
 
 
-Errors = AssemblyErrors | Mapping[str, ArrayLike | str]  # or by their names [rad, m, or strings with a unit]
+def deviations_of(model: Model, errors: Errors | None) -> Deviations:
+    """What deviates, as a function was given it: from `deviations` or `assembly_errors`, by names, or None for a
+    perfect mechanism.
 
-
-def errors_of(model: Model, errors: Errors | None) -> AssemblyErrors:
-    """Errors as a function was given them: from `assembly_errors`, by their names, or None for a perfect mechanism.
-
-    **Raises:** `InputError` for anything else, and as `assembly_errors`.
+    **Raises:** `InputError` for anything else, and as `deviations`.
     """
-    if isinstance(errors, AssemblyErrors):
+    if isinstance(errors, Deviations):
         return errors
+    if isinstance(errors, AssemblyErrors):
+        return Deviations(errors)
     if errors is not None and not isinstance(errors, Mapping):
         raise InputError(
             f"Argument `errors` must be errors from assembly_errors or a table of them by their names, but is "
             f'{errors!r}; write for example {{"{model.topology.error_names[0]}": 0.001}}.'
         )
-    return assembly_errors(model, errors)
+    return deviations(model, errors)
 
 
 def require_errors_of(topology: Topology, errors: AssemblyErrors) -> None:
@@ -163,14 +212,12 @@ def _require_number(name: str, value: ArrayLike | str) -> None:
         )
 
 
-def sum_of(errors: AssemblyErrors, more: AssemblyErrors) -> AssemblyErrors:
-    """Sum of two sets of errors; a parameter may deviate in one of them alone."""
-    first, second = errors.parameters or {}, more.parameters or {}
-    both = {
-        name: first.get(name, 0.0) + second.get(name, 0.0) for name in (*first, *(n for n in second if n not in first))
-    }
-    plain = (dataclasses.replace(one, parameters=None) for one in (errors, more))
-    return dataclasses.replace(jax.tree.map(jnp.add, *plain), parameters=both or None)
+def sum_of(one: Deviations, other: Deviations) -> Deviations:
+    """Sum of what deviates in two ways; a parameter may do so in one of them alone."""
+    both = dict(one.parameters)
+    for name, value in other.parameters.items():
+        both[name] = both[name] + value if name in both else value
+    return Deviations(jax.tree.map(jnp.add, one.errors, other.errors), both)
 
 
 @Program

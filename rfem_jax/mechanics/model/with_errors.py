@@ -106,8 +106,7 @@ class ModelWithErrors(eqx.Module):
 
 @kernel
 def apply_errors(model: Model, errors: AssemblyErrors) -> ModelWithErrors:
-    """Apply the errors to the model; deviations of parameters are applied before, by `designed`."""
-    assert not errors.parameters, "`designed` has not been called"
+    """Apply the errors to the model, into which `designed` has put the numbers that deviate."""
     with jax.named_scope("apply_errors"):
         topology = model.topology
         possible = possible_errors(model, errors)

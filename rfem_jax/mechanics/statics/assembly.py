@@ -30,7 +30,7 @@ from rfem_jax.mechanics.forces.joint_forces import (
 )
 from rfem_jax.mechanics.kinematics.cut_joints import closure
 from rfem_jax.mechanics.kinematics.motion import motion_of
-from rfem_jax.mechanics.model.errors import AssemblyErrors, Errors, errors_of
+from rfem_jax.mechanics.model.errors import AssemblyErrors, Errors
 from rfem_jax.mechanics.model.inputs import DriveInput
 from rfem_jax.mechanics.model.model import Model, State, length_scale
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors, apply_errors
@@ -89,7 +89,7 @@ def assemble(
     **Raises:** `InputError` if `hold` names a joint that is not a joint of the tree or has not one coordinate.
     """
     hold = checked_hold(model, hold)
-    made = designed(model, design, errors_of(model, errors))
+    made = designed(model, design, errors)
     found = _assemble(made.model, made.errors, hold)
     return found._replace(status=status_of(found.status, made), design_gap=made.gap)
 

@@ -2,7 +2,7 @@
 
 Place in the pipeline: model and its source, parameters -> **designs** -> statics, simulation.
 
-A `Design` holds values, `AssemblyErrors.parameters` deviations from them. Of the model's arrays those are made anew,
+A `Design` holds values, `Deviations.parameters` deviations from them. Of the model's arrays those are made anew,
 by the formulas that made the nominal ones, that depend on a number that is set (theory (14.1)); with a new geometry the
 loops are closed anew (`start_closure`, theory (14.2) to (14.5)). What is on which rigid finite element stays: a joint,
 a mass or a force whose point leaves its rfe is carried by a rigid arm, which is as exact as the division of the link as
@@ -35,7 +35,13 @@ from rfem_jax.description.study_file.study import Study
 from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.model.building import PartStructure, arrays_of
 from rfem_jax.mechanics.model.discretisation import discretise
-from rfem_jax.mechanics.model.errors import AssemblyErrors, assembly_errors, require_errors_of, require_possible
+from rfem_jax.mechanics.model.errors import (
+    AssemblyErrors,
+    Errors,
+    deviations_of,
+    require_errors_of,
+    require_possible,
+)
 from rfem_jax.mechanics.model.model import Model, at_closing
 from rfem_jax.mechanics.model.planar_loops import require_closable
 from rfem_jax.mechanics.model.sources import NOTHING, Blueprint, Source
@@ -134,18 +140,18 @@ class Designed(NamedTuple):
     gap: Float[Array, ""] | None = None
 
 
-def designed(model: Model, design: Design | None, errors: AssemblyErrors | None = None) -> Designed:
+def designed(model: Model, design: Design | None, errors: Errors | None = None) -> Designed:
     """The model of a design, without a source, and the errors that are left for `apply_errors`.
 
-    **Arguments:** `design`: None or a `Design` of this model; `errors`: whose deviations of parameters are added (None:
-    perfect).
+    **Arguments:** `design`: None or a `Design` of this model; `errors`: from `assembly_errors` or `deviations`, or by
+    their names, of which those of parameters are added (None: perfect).
 
-    **Raises:** `InputError` for a design or errors of another model.
+    **Raises:** `InputError` for a design or errors of another model, and as `deviations`.
     """
-    errors = assembly_errors(model) if errors is None else errors
-    values, deviations = {} if design is None else design.values, errors.parameters or {}
-    require_errors_of(model.topology, errors)
-    left, bare = replace(errors, parameters=None), replace(model, source=None)
+    given = deviations_of(model, errors)
+    values, deviations = {} if design is None else design.values, given.parameters
+    left, bare = given.errors, replace(model, source=None)
+    require_errors_of(model.topology, left)
     if not values and not deviations:
         require_possible(bare, left)
         return Designed(bare, left)

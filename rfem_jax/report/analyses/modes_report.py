@@ -17,7 +17,7 @@ from rfem_jax.description.parameters.deviations import deviation_unit
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.labelled_data import column_name
 from rfem_jax.mechanics.dynamics.centre_lines import link_lines
-from rfem_jax.mechanics.model.errors import AssemblyErrors, assembly_errors, sum_of
+from rfem_jax.mechanics.model.errors import Deviations, deviations, sum_of
 from rfem_jax.mechanics.model.model import Coordinates, Model
 from rfem_jax.mechanics.model.orientations import moved
 from rfem_jax.mechanics.model.status import STATUS
@@ -67,11 +67,11 @@ def compute_modes(study: Study, model: Model, count: int, locked: bool) -> Modes
 
 @partial(Program, nameless=True)
 def _of_cases(
-    model: Model, errors: AssemblyErrors, names: tuple[str, ...], count: int, locked: bool
+    model: Model, errors: Deviations, names: tuple[str, ...], count: int, locked: bool
 ) -> tuple[NaturalModes, Float[Array, "cases modes errors"]]:
     def one(errors):
         def frequencies(values):
-            more = assembly_errors(model, dict(zip(names, values, strict=True)))
+            more = deviations(model, dict(zip(names, values, strict=True)))
             modes = natural_frequencies(model, sum_of(errors, more), count=count, locked=locked)
             return modes.frequency, modes
 
@@ -185,10 +185,10 @@ def mode_shapes(study: Study, model: Model, result: ModesResult) -> Shapes:
 
 
 @partial(Program, nameless=True)
-def _shapes(model: Model, errors: AssemblyErrors, modes: NaturalModes):
+def _shapes(model: Model, errors: Deviations, modes: NaturalModes):
     """Lines of the links at the equilibrium, and their displacements in every mode."""
     made = designed(model, None, errors)
-    model, actual = made.model, apply_errors(made.model, errors)
+    model, actual = made.model, apply_errors(made.model, made.errors)
 
     def lines(change):
         return link_lines(model, actual, moved(model.topology, modes.position, change))

@@ -16,7 +16,7 @@ from rfem_jax.description.metrics.catalogue import at_rest, notes_on, records_fo
 from rfem_jax.description.metrics.shaking_metrics import RECORD
 from rfem_jax.description.study_file.statics import Statics
 from rfem_jax.description.study_file.study import Study
-from rfem_jax.mechanics.model.errors import AssemblyErrors
+from rfem_jax.mechanics.model.errors import Deviations
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.status import STATUS
 from rfem_jax.report.analyses.analysis import errors_of_cases
@@ -50,7 +50,7 @@ def positions_and_motion(statics: Statics | None) -> tuple[Any, Any, Any]:
 
 
 @partial(Program, nameless=True)
-def _of_cases(model: Model, errors: AssemblyErrors, poses: ClosedPose | None, asked: tuple[str, ...]) -> StaticLoads:
+def _of_cases(model: Model, errors: Deviations, poses: ClosedPose | None, asked: tuple[str, ...]) -> StaticLoads:
     return jax.vmap(lambda one: static_loads_at(model, one, poses, asked))(errors)
 
 

@@ -19,7 +19,7 @@ from rfem_jax.description.metrics.shaking_metrics import RECORD
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.labelled_data import text_of
 from rfem_jax.mechanics.forces.bush_contacts import CLOSED, CONTACT_NAMES, carrying
-from rfem_jax.mechanics.model.errors import AssemblyErrors
+from rfem_jax.mechanics.model.errors import Deviations
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.planar_loops import model_reactions_text
 from rfem_jax.report.analyses.analysis import errors_of_cases, write_analysis
@@ -47,7 +47,7 @@ def compute_turn(study: Study, model: Model, positions: Float[np.ndarray, " posi
 
 
 @partial(Program, nameless=True)
-def _of_cases(model: Model, errors: AssemblyErrors, poses: ClosedPose, axes: str) -> Turn:
+def _of_cases(model: Model, errors: Deviations, poses: ClosedPose, axes: str) -> Turn:
     return jax.vmap(lambda one: turn_over(model, one, poses, axes))(errors)
 
 

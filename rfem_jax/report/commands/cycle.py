@@ -111,7 +111,7 @@ def _cycles(study: Study, tolerance: float, most: int) -> dict[str, Cycle]:
 
     from rfem_jax.description.drives.rotations import PrescribedRate
     from rfem_jax.description.metrics.catalogue import records_for
-    from rfem_jax.mechanics.model.errors import assembly_errors
+    from rfem_jax.mechanics.model.errors import deviations
     from rfem_jax.simulation.cycle import steady_cycle
     from rfem_jax.simulation.specification import Simulation
 
@@ -121,7 +121,7 @@ def _cycles(study: Study, tolerance: float, most: int) -> dict[str, Cycle]:
         announce(f"Finding the cycle of case {case.name}")
         cycle = steady_cycle(
             Simulation(model, drive=drive, method=study.method, save_every=study.save_every),
-            assembly_errors(model, case.errors),
+            deviations(model, case.errors),
             tolerance=tolerance,
             most=most,
             record=records_for(study.metrics),

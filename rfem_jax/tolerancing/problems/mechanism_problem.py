@@ -3,10 +3,9 @@
 Place in the pipeline: model, metrics -> **mechanism_problem** -> simulated_problem, static_problem.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 import equinox as eqx
-from jax.typing import ArrayLike
 from jaxtyping import Array
 
 from rfem_jax.description.basics.errors import InputError
@@ -23,7 +22,6 @@ from rfem_jax.description.metrics.subjects import (
 )
 from rfem_jax.description.parameters.parameters import Parameter
 from rfem_jax.description.tolerances.error_catalogue import error_unit
-from rfem_jax.mechanics.model.errors import AssemblyErrors
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.named_points import following, named_points_of
 from rfem_jax.mechanics.model.planar_loops import opening, require_closable
@@ -34,8 +32,6 @@ from rfem_jax.tolerancing.problems.metrics import metric
 from rfem_jax.tolerancing.problems.problem import Metric
 
 LINEAR_ERROR = "linear_error"
-
-Errors = Mapping[str, ArrayLike | str] | AssemblyErrors
 
 
 class MechanismProblem(eqx.Module):

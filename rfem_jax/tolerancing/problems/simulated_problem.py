@@ -6,7 +6,7 @@ The only place where tolerance studies meet the mechanics.
 
 import functools
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -22,7 +22,7 @@ from rfem_jax.description.drives.driven_motions import Drive
 from rfem_jax.description.drives.numbers_by_name import drive_number_unit
 from rfem_jax.description.methods import GeneralisedAlpha, Method
 from rfem_jax.description.metrics.catalogue import only_at_start
-from rfem_jax.mechanics.model.errors import AssemblyErrors, assembly_errors
+from rfem_jax.mechanics.model.errors import Deviations, Errors, deviations, deviations_of
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.status import PAST_LIMIT, STATUS
 from rfem_jax.mechanics.statics.designs import Design, Designed, designed
@@ -39,7 +39,6 @@ from rfem_jax.simulation.time_grid import TimeGrid, longest_interval, of_any_ste
 from rfem_jax.tolerancing.checks import check_distinct, error_value
 from rfem_jax.tolerancing.problems.mechanism_problem import (
     LINEAR_ERROR,
-    Errors,
     MechanismProblem,
     following_metrics,
     known_metric,
@@ -52,8 +51,9 @@ from rfem_jax.tolerancing.problems.problem import Metric, Status, Values
 class Problem(MechanismProblem):
     """A mechanism under a drive as a pure function of its assembly errors.
 
-    `problem(errors)` takes {error name: number in rad or m, or a string with a unit} (or `AssemblyErrors`) and returns
-    ({metric name: scalar}, status); it works under jit, vmap, jacfwd, grad, jacrev and their compositions.
+    `problem(errors)` takes {error name: number in rad or m, or a string with a unit}, or what `assembly_errors` and
+    `deviations` return, and returns ({metric name: scalar}, status); it works under jit, vmap, jacfwd, grad, jacrev and
+    their compositions.
 
     Memory: forward mode stores nothing along the way. Reverse mode with an explicit method of fixed steps keeps the
     integrated state at every saved time and at every stage of one interval between them, with an implicit method the
@@ -200,9 +200,10 @@ class Problem(MechanismProblem):
 
     def __call__(self, errors: Errors) -> tuple[Values, Status]:
         """Values {metric name: scalar} and status (scalar int32) of one sample."""
-        problem, errors = self._split(errors)
-        if problem.design is not None or errors.parameters is not None:
-            return _values_and_status(problem, errors)
+        problem, deviating = self._split(errors)
+        if problem.design is not None or deviating.parameters:
+            return _values_and_status(problem, deviating)
+        errors = deviating.errors
         model = replace(problem.model, source=None)
         integration = Integration.of_any_step(model, problem.drive, *problem._grid(), problem.method, errors)
         return _values_of_numbers(problem.metrics, integration, errors)
@@ -237,10 +238,10 @@ class Problem(MechanismProblem):
         grid, steps = grid_for(self.drive, self.duration, self.method, self.save_every, self.model)
         return (grid, steps) if self.steps is None else (grid.of_any_step(), self.steps)
 
-    def _split(self, errors: Errors) -> tuple["Problem", AssemblyErrors]:
-        """The problem with the numbers of drives that deviate, and the other errors."""
-        if isinstance(errors, AssemblyErrors):
-            return self, errors
+    def _split(self, errors: Errors) -> tuple["Problem", Deviations]:
+        """The problem with the numbers of drives that deviate, and what else deviates."""
+        if not isinstance(errors, Mapping):
+            return self, deviations_of(self.model, errors)
         known = self.drive_numbers if any(name.startswith("drive.") for name in errors) else {}
         numbers = {}
         for name in (name for name in errors if name in known):
@@ -252,11 +253,11 @@ class Problem(MechanismProblem):
         if numbers:
             driven = design_with(self.model, self.drive, self.design, numbers)
             problem = eqx.tree_at(lambda one: one.design, self, driven, is_leaf=lambda x: x is None)
-        return problem, assembly_errors(self.model, others)
+        return problem, deviations(self.model, others)
 
 
 @functools.partial(Program, nameless=True)
-def _values_and_status(problem: Problem, errors: AssemblyErrors) -> tuple[Values, Status]:
+def _values_and_status(problem: Problem, errors: Deviations) -> tuple[Values, Status]:
     """A program of its own: that of `simulate` differentiates the histories, too."""
     return problem.with_residual(errors)[:2]
 

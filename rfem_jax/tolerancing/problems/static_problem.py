@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.basics.precision import require_float64
 from rfem_jax.description.metrics.catalogue import kind_and_owner, require_at_rest
-from rfem_jax.mechanics.model.errors import AssemblyErrors, errors_of
+from rfem_jax.mechanics.model.errors import Deviations, Errors, deviations_of
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.statics.designs import Design
 from rfem_jax.simulation.poses import ClosedPose, Positions, poses_at
@@ -25,7 +25,6 @@ from rfem_jax.simulation.statics import first_status, static_loads_at
 from rfem_jax.tolerancing.checks import check_distinct
 from rfem_jax.tolerancing.problems.mechanism_problem import (
     LINEAR_ERROR,
-    Errors,
     MechanismProblem,
     following_metrics,
     known_metric,
@@ -90,14 +89,14 @@ class StaticProblem(MechanismProblem):
     def __call__(self, errors: Errors) -> tuple[Values, Status]:
         """Values {metric name: scalar} and status (scalar int32) of one sample."""
         asked = require_records(self.model, records_of(self.metrics))
-        return _values(self.metrics, self.model, errors_of(self.model, errors), self.poses, asked, self.design)
+        return _values(self.metrics, self.model, deviations_of(self.model, errors), self.poses, asked, self.design)
 
 
 @functools.partial(Program, nameless=True)
 def _values(
     metrics: Sequence[Metric],
     model: Model,
-    errors: AssemblyErrors,
+    errors: Deviations,
     poses: ClosedPose | None,
     asked: Sequence[str],
     design: Design | None,
