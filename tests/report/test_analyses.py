@@ -7,8 +7,13 @@ import math
 import numpy as np
 import pytest
 
+from rfem_jax import load_study
+from rfem_jax.mechanics.model.model import Coordinates
+from rfem_jax.mechanics.model.status import NO_MODES
 from rfem_jax.report import command_line
+from rfem_jax.report.analyses import modes_report
 from rfem_jax.report.command_line import main
+from rfem_jax.simulation.modes import NaturalModes
 from tests.study_texts import STEEL, hinge, link, rectangle
 
 from .page_folder import content_of
@@ -67,6 +72,23 @@ def test_modes_of_all_cases_with_derivatives(study, tmp_path, capsys):
     np.testing.assert_allclose(np.abs(moves).max(axis=(1, 2)), 1.0)
     np.testing.assert_allclose(moves[:, 0], 0.0, atol=1e-6)
     assert [one["name"] for one in content_of(out / "report.html")["tasks"]] == ["modes"]
+
+
+def test_frequencies_that_are_not_numbers_are_told(study, tmp_path):
+    """As of one of two cases: in the table, in the files, and by their status."""
+    good, bad = np.array([[1.5], [np.nan]]), np.zeros((2, 1))
+    nothing, still = np.zeros((2, 1, 0)), Coordinates(np.zeros((2, 1)), np.zeros((2, 6, 0)))
+    status = np.array([0, NO_MODES])
+    modes = NaturalModes(good, good, good, good[..., None], nothing, bad + 1.0, bad[:, 0], still, status)
+    result = modes_report.ModesResult(modes, (), (), nothing)
+    read = load_study(study)
+    text = modes_report.modes_text(read, result)
+    assert "longer*, Hz" in text and "nominal, Hz" in text and "not finite numbers" in text
+    modes_report.write_modes(tmp_path, read, result, modes_report.Shapes({}, {"arm": np.zeros((1, 2, 3))}))
+    cases = json.loads((tmp_path / "modes.json").read_text(encoding="utf-8"))["cases"]
+    assert [one["status"] for one in cases.values()] == ["ok", "no_modes"]
+    assert [one["modes"][0]["stable"] for one in cases.values()] == [True, None]
+    assert cases["longer"]["modes"][0]["frequency"] is None
 
 
 @pytest.mark.slow
