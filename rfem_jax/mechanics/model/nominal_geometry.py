@@ -290,14 +290,12 @@ def closure_jacobian(
         start, stop = stop, stop + len(left)
         block = jacobian[start:stop]
         for node, rows in ((topology.parents[joint], left), (topology.children[joint], right)):
-            while node != BASE:
-                link = topology.link_of(node)
-                if node >= n:
-                    k = freedoms + 6 * (node - n)
-                    block[:, k : k + 6] += rows @ _elastic_twists(geometry, placed, link, node - n)
+            for one, link in topology.to_base(node):
+                if one >= n:
+                    k = freedoms + 6 * (one - n)
+                    block[:, k : k + 6] += rows @ _elastic_twists(geometry, placed, link, one - n)
                 for k in topology.coordinates[link]:
                     block[:, k] += units[k] * (rows @ placed.twists[k])
-                node = topology.parents[link]
     if topology.slender:
         jacobian = jacobian @ _coordinate_rates(geometry)
     for row, law in zip(jacobian[stop:], geometry.couplings, strict=True):
