@@ -64,7 +64,7 @@ def node_bodies(
     inertia = (diagonal(principal) if of_beam is None else of_beam) + steiner(mass, beam_centre - centre)
     added = diagonal(model.point_inertia) + steiner(model.point_mass, point - centre[:, holder])
     if model.point_products is not None:
-        added = added + _off_diagonal(model.point_products)
+        added = added + off_diagonal(model.point_products)
     return total, centre, inertia + added @ onto
 
 
@@ -115,7 +115,7 @@ def inverse_inertia(topology: Topology, inertia: Float[Array, "3 3 rfes"]) -> Fl
     return vectors.invert_positive(inertia)
 
 
-def _off_diagonal(products: Float[Array, "3 masses"]) -> Float[Array, "3 3 masses"]:
+def off_diagonal(products: Float[Array, "3 ..."]) -> Float[Array, "3 3 ..."]:
     """Symmetric matrices of J_xy, J_xz, J_yz, with zeros on the diagonal."""
     xy, xz, yz = products
     zero = jnp.zeros_like(xy)
