@@ -69,7 +69,7 @@ class NaturalModes(eqx.Module):
     status: Int[Array, ""]
 
     @property
-    def repeated(self) -> Float[Array, " modes"]:
+    def repeated(self) -> Float[Array, "*batch modes"]:
         """1 where a frequency is repeated and has no derivative, else 0."""
         return jnp.where(self.separation < REPEATED, 1.0, 0.0)
 

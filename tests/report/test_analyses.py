@@ -4,12 +4,14 @@ import csv
 import json
 import math
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from rfem_jax import load_study
 from rfem_jax.mechanics.model.model import Coordinates
-from rfem_jax.mechanics.model.status import NO_MODES
+from rfem_jax.mechanics.model.status import NO_MODES, OK
 from rfem_jax.report import command_line
 from rfem_jax.report.analyses import modes_report
 from rfem_jax.report.command_line import main
@@ -76,11 +78,15 @@ def test_modes_of_all_cases_with_derivatives(study, tmp_path, capsys):
 
 def test_frequencies_that_are_not_numbers_are_told(study, tmp_path):
     """As of one of two cases: in the table, in the files, and by their status."""
-    good, bad = np.array([[1.5], [np.nan]]), np.zeros((2, 1))
-    nothing, still = np.zeros((2, 1, 0)), Coordinates(np.zeros((2, 1)), np.zeros((2, 6, 0)))
-    status = np.array([0, NO_MODES])
-    modes = NaturalModes(good, good, good, good[..., None], nothing, bad + 1.0, bad[:, 0], still, status)
-    result = modes_report.ModesResult(modes, (), (), nothing)
+
+    def modes_of(frequency, status):
+        values, nothing = jnp.full(1, frequency), jnp.zeros((1, 6, 0))
+        still = Coordinates(jnp.zeros(1), nothing[0])
+        shapes = values[:, None], nothing
+        return NaturalModes(values, values, values, *shapes, jnp.ones(1), jnp.zeros(()), still, jnp.asarray(status))
+
+    modes = jax.tree.map(lambda *x: np.stack(x), modes_of(1.5, OK), modes_of(np.nan, NO_MODES))
+    result = modes_report.ModesResult(modes, (), (), np.zeros((2, 1, 0)))
     read = load_study(study)
     text = modes_report.modes_text(read, result)
     assert "longer*, Hz" in text and "nominal, Hz" in text and "not finite numbers" in text

@@ -225,7 +225,7 @@ def _coupling_gap(
         value, slope = jax.vmap(law.transmitted)(jnp.asarray(first.reshape(-1)))
     unit = geometry.scale if geometry.topology.slides[law.coordinates[1]] else 1.0
     value, slope = (np.asarray(one).reshape(first.shape) for one in (value, slope))
-    return (second - value - float(law.offset)) / unit, -slope / unit
+    return np.asarray((second - value - float(law.offset)) / unit), np.asarray(-slope / unit)
 
 
 def _alignment(kind: JointKind, products: Float[np.ndarray, "*t 3 3"]) -> Float[np.ndarray, "*t"]:
