@@ -11,7 +11,7 @@ import numpy as np
 from jax import Array
 
 from rfem_jax.mechanics.algebra import vectors
-from rfem_jax.mechanics.algebra.vectors import Scalar, apply, cross, product
+from rfem_jax.mechanics.algebra.vectors import apply, cross, product
 from rfem_jax.mechanics.dynamics.reduced_tree import InterfaceTree, branching_rfes, wrench_at
 from rfem_jax.mechanics.forces.friction import node_wrenches
 from rfem_jax.mechanics.forces.joint_forces import LawForces
@@ -74,7 +74,7 @@ def solved_multipliers(
     motion: Motion,
     tree: InterfaceTree,
     responses: dict[int, Array],
-    of_joints: Scalar,
+    of_joints: Array | float,
     stabilisation: Stabilisation,
 ) -> tuple[Array, Array]:
     """Multipliers of theory (5.6), cut by cut, and their part due to stabilisation; `of_joints`: second derivatives of
