@@ -7,7 +7,6 @@ all joints, with errors, are sites. A cut hinge is two `connect` constraints alo
 `weld`, all of sites, so that the errors of a loop stay in it; MuJoCo holds them by soft constraints.
 """
 
-from collections.abc import Iterable
 from xml.etree import ElementTree as Xml
 
 import numpy as np
@@ -16,6 +15,7 @@ from rfem_jax.description.basics.errors import InputError
 from rfem_jax.exchange.layout import BASE, Body, Connection, Layout, motion_frame
 from rfem_jax.exchange.mjcf_reader import BORE, LENGTH, SEAT
 from rfem_jax.exchange.rigid_frames import Frame, quaternion_of
+from rfem_jax.exchange.xml_trees import numbers_text
 
 _CLOSING = ("revolute", "spherical", "fixed")
 _STIFF = "0.0004 1"  # solref: time constant [s], at least twice the step, and damping ratio of the soft constraints
@@ -29,10 +29,10 @@ def mjcf_text(layout: Layout, source: str) -> tuple[str, tuple[str, ...]]:
     for sentence in (f"{source}; SI units, radians", *(f"not in this file: {one}" for one in left)):
         root.append(Xml.Comment(f" {sentence.replace('--', '- -')} "))
     Xml.SubElement(root, "compiler", angle="radian", inertiafromgeom="false")
-    Xml.SubElement(root, "option", gravity=_text(layout.gravity), timestep=_STEP, integrator="implicitfast")
+    Xml.SubElement(root, "option", gravity=numbers_text(layout.gravity), timestep=_STEP, integrator="implicitfast")
     custom = Xml.SubElement(root, "custom")
     for body in layout.bodies:
-        Xml.SubElement(custom, "numeric", name=LENGTH + body.name, data=_text([body.length or 0.0]))
+        Xml.SubElement(custom, "numeric", name=LENGTH + body.name, data=numbers_text([body.length or 0.0]))
     world = Xml.SubElement(root, "worldbody")
     elements = {BASE: world}
     for body in _by_depth(layout):
@@ -50,7 +50,7 @@ def mjcf_text(layout: Layout, source: str) -> tuple[str, tuple[str, ...]]:
                 _site(elements[body], name, Frame(np.eye(3), point))
             rest = one.free_length - (one.preload / one.stiffness if one.stiffness else 0.0)
             numbers = {"stiffness": one.stiffness, "damping": one.damping, "springlength": rest}
-            attributes = {"name": one.name} | {key: _text([value]) for key, value in numbers.items()}
+            attributes = {"name": one.name} | {key: numbers_text([value]) for key, value in numbers.items()}
             spatial = Xml.SubElement(tendons, "spatial", attributes)
             for name in sites:
                 Xml.SubElement(spatial, "site", site=name)
@@ -82,7 +82,7 @@ def _by_depth(layout: Layout) -> list[Body]:
 def _body(layout: Layout, parent: Xml.Element, body: Body, joint: Connection) -> Xml.Element:
     pose = body.pose.seen_from(layout.pose(joint.parent))
     element = Xml.SubElement(
-        parent, "body", name=body.name, pos=_text(pose.position), quat=_text(quaternion_of(pose.rotation))
+        parent, "body", name=body.name, pos=numbers_text(pose.position), quat=numbers_text(quaternion_of(pose.rotation))
     )
     moments, axes = np.linalg.eigh(body.inertia)
     axes[:, 2] *= np.sign(np.linalg.det(axes))
@@ -93,25 +93,25 @@ def _body(layout: Layout, parent: Xml.Element, body: Body, joint: Connection) ->
     Xml.SubElement(
         element,
         "inertial",
-        pos=_text(body.centre),
-        quat=_text(quaternion_of(axes)),
-        mass=_text([body.mass]),
-        diaginertia=_text(moments),
+        pos=numbers_text(body.centre),
+        quat=numbers_text(quaternion_of(axes)),
+        mass=numbers_text([body.mass]),
+        diaginertia=numbers_text(moments),
     )
     for number, (kind, axis, value, motion) in enumerate(_motions(joint)):
         name = joint.name if number == 0 else f"{joint.name}.{number + 1}"
         if kind == "free":
             Xml.SubElement(element, "freejoint", name=name)
             continue
-        item = Xml.SubElement(element, "joint", name=name, type=kind, pos=_text(joint.bore.position))
+        item = Xml.SubElement(element, "joint", name=name, type=kind, pos=numbers_text(joint.bore.position))
         if kind == "ball":
             continue
-        item.set("axis", _text(joint.bore.rotation @ axis))
-        item.set("ref", _text([value]))
+        item.set("axis", numbers_text(joint.bore.rotation @ axis))
+        item.set("ref", numbers_text([value]))
         for spring in [one for one in joint.springs if one.motion == motion][:1]:
             rest = spring.rest + (spring.preload / spring.stiffness if spring.stiffness else 0.0)
             for key, number in (("stiffness", spring.stiffness), ("damping", spring.damping), ("springref", rest)):
-                item.set(key, _text([number]))
+                item.set(key, numbers_text([number]))
     return element
 
 
@@ -162,13 +162,10 @@ def _closures(layout: Layout, root: Xml.Element, elements: dict[str, Xml.Element
         first = one.offset + one.ratio * a - b
         Xml.SubElement(
             equality, "joint", name=one.name, joint1=one.joints[1], joint2=one.joints[0],
-            polycoef=_text([first, one.ratio, 0.0, 0.0, 0.0]), solref=_STIFF,
+            polycoef=numbers_text([first, one.ratio, 0.0, 0.0, 0.0]), solref=_STIFF,
         )  # fmt: skip
 
 
 def _site(element: Xml.Element, name: str, frame: Frame) -> None:
-    Xml.SubElement(element, "site", name=name, pos=_text(frame.position), quat=_text(quaternion_of(frame.rotation)))
-
-
-def _text(values: Iterable[float]) -> str:
-    return " ".join(repr(0.0 if abs(x) < 1e-16 else float(x)) for x in values)
+    position, turn = numbers_text(frame.position), numbers_text(quaternion_of(frame.rotation))
+    Xml.SubElement(element, "site", name=name, pos=position, quat=turn)

@@ -3,6 +3,7 @@
 Place in the pipeline: **xml_trees** -> urdf, and the choice of a reader in `files`.
 """
 
+from collections.abc import Iterable
 from xml.etree import ElementTree as Xml
 from xml.parsers import expat
 
@@ -40,3 +41,8 @@ def read_tree(text: str) -> Xml.Element:
         return builder.close()
     except expat.ExpatError as error:
         raise InputError(f"The file must be XML, but is not ({error}); correct it.") from None
+
+
+def numbers_text(values: Iterable[float]) -> str:
+    """Numbers as attributes have them; what is rounding beside one is zero."""
+    return " ".join(repr(0.0 if abs(x) < 1e-16 else float(x)) for x in values)

@@ -70,8 +70,10 @@ def run_dataset(run: Run, cases: Sequence[str] | None = None, axes: str = "joint
     _add_loads(variables, run, joints, before, axes)
     _add_motion(variables, coordinates, run, before)
     _add_energies(variables, coordinates, run, before)
-    _add_points(variables, coordinates, run, before)
-    _add_paths(variables, coordinates, run, before)
+    to = variables, coordinates, before
+    _add_vectors(*to, run.forces, "force_at_points", "point", FORCE_FIELDS, "global axes")
+    of = "in the axes of what it is relative to"
+    _add_vectors(*to, run.points, "followed_point", "path", PATH_FIELDS, of)
     _add_contacts(variables, coordinates, run, before)
     _add_shaking(variables, run, before)
     _add_couplings(variables, coordinates, run, before)
@@ -171,38 +173,29 @@ def _add_energies(variables, coordinates, run, before) -> None:
         variables["branch"] = Labelled((*before, "time", "cut_joint"), values, "1", "assembly mode, +1 or -1")
 
 
-def _add_points(variables, coordinates, run, before) -> None:
-    """Forces at points of links and between them, in global axes."""
-    if not run.forces:
-        return
-    coordinates["force_at_points"] = list(run.forces)
-    fields = (
-        ("force", "N", "force at a point"),
-        ("moment", "N m", "moment on the second point"),
-        ("place", "m", "position of the second point"),
-        ("first_place", "m", "position of the first point"),
-    )
-    for field, unit, meaning in fields:
-        values = _stack([getattr(one, field) for one in run.forces.values()], len(before) + 1)
-        dims = (*before, "time", "force_at_points", "component")
-        variables[f"point_{field}"] = Labelled(dims, values, unit, f"{meaning}, global axes")
+FORCE_FIELDS = (
+    ("force", "N", "force at a point"),
+    ("moment", "N m", "moment on the second point"),
+    ("place", "m", "position of the second point"),
+    ("first_place", "m", "position of the first point"),
+)
+PATH_FIELDS = (
+    ("position", "m", "place of a point"),
+    ("velocity", "m/s", "velocity of a point"),
+    ("acceleration", "m/s^2", "acceleration of a point"),
+    ("angles", "rad", "angles of the link at a point, of R_y R_z R_x"),
+)
 
 
-def _add_paths(variables, coordinates, run, before) -> None:
-    """Paths of points and angles of their links, seen from what they are relative to."""
-    if not run.points:
+def _add_vectors(variables, coordinates, before, histories, coordinate, prefix, fields, axes) -> None:
+    """Vectors over time of things by their names."""
+    if not histories:
         return
-    coordinates["followed_point"] = list(run.points)
-    fields = (
-        ("position", "m", "place of a point"),
-        ("velocity", "m/s", "velocity of a point"),
-        ("acceleration", "m/s^2", "acceleration of a point"),
-        ("angles", "rad", "angles of the link at a point, of R_y R_z R_x"),
-    )
+    coordinates[coordinate] = list(histories)
     for field, unit, meaning in fields:
-        values = _stack([getattr(one, field) for one in run.points.values()], len(before) + 1)
-        dims = (*before, "time", "followed_point", "component")
-        variables[f"path_{field}"] = Labelled(dims, values, unit, f"{meaning}, in the axes of what it is relative to")
+        values = _stack([getattr(one, field) for one in histories.values()], len(before) + 1)
+        dims = (*before, "time", coordinate, "component")
+        variables[f"{prefix}_{field}"] = Labelled(dims, values, unit, f"{meaning}, {axes}")
 
 
 def _add_contacts(variables, coordinates, run, before) -> None:

@@ -3,13 +3,13 @@
 Place in the pipeline: statics -> **labelled_statics** -> notebooks, report.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from rfem_jax.description.metrics.catalogue import kind_and_owner, metric_of
 from rfem_jax.description.metrics.shaking_metrics import RECORD
@@ -148,17 +148,17 @@ class LabelledStatics(LabelledResult):
                 row[column_name(f"{label}_holding", of_load)] = float(result.holding[label][i])
             for joint, load in result.loads.items():
                 for what, unit in _LOADS:
-                    row |= _components(f"{joint}_{what}", getattr(load, what)[i], unit)
+                    row |= components_of(f"{joint}_{what}", getattr(load, what)[i], unit)
             for name, path in result.points.items():
-                row |= _components(name, np.asarray(path.position[i]), "m")
-                row |= _components(f"{name}_angle", angles[name][i], "rad")
+                row |= components_of(name, np.asarray(path.position[i]), "m")
+                row |= components_of(f"{name}_angle", angles[name][i], "rad")
             for name, record in result.recorded.items():
                 owner, _, kind = name.rpartition(".")
                 if kind == "deflection":
-                    row |= _components(f"{owner}_deflection", record[i], "m")
+                    row |= components_of(f"{owner}_deflection", record[i], "m")
                 if name == RECORD:
                     for what, unit in _LOADS:
-                        row |= _components(f"{RECORD}_{what}", getattr(record, what)[i], unit)
+                        row |= components_of(f"{RECORD}_{what}", getattr(record, what)[i], unit)
             row |= {column_name(f"{name}_stress", "Pa"): float(values[i]) for name, values in result.stress.items()}
             row |= {"elastic_energy_J": float(result.energy.elastic[i])}
             yield row | {"gravity_energy_J": float(result.energy.gravity[i])}
@@ -290,5 +290,6 @@ def _cell(value: float, size: float) -> str:
     return "0" if abs(value) <= 1e-12 * size else f"{value:.5g}"
 
 
-def _components(name: str, vector: Float[np.ndarray, "3"], unit: str) -> dict[str, float]:
+def components_of(name: str, vector: Iterable[float], unit: str) -> dict[str, float]:
+    """Columns of the components of a vector along x, y and z."""
     return {column_name(f"{name}_{axis}", unit): float(x) for axis, x in zip(COMPONENTS, vector, strict=True)}

@@ -3,7 +3,6 @@
 Place in the pipeline: turn -> **labelled_turn** -> notebooks, report.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -16,7 +15,7 @@ from rfem_jax.description.metrics.shaking_metrics import RECORD
 from rfem_jax.labelled_data import COMPONENTS, Arrays, Labelled, LabelledResult, Parts, Table, column_name
 from rfem_jax.mechanics.dynamics.load_axes import AXES
 from rfem_jax.mechanics.model.status import STATUS
-from rfem_jax.simulation.labelled_statics import leaving_sentences
+from rfem_jax.simulation.labelled_statics import components_of, leaving_sentences
 
 ON_BASE = "on the base"
 _LOADS = (("force", "N"), ("moment", "N m"))
@@ -127,13 +126,13 @@ class LabelledTurn(LabelledResult):
         shaking = {} if turn.shaking is None else {RECORD: turn.shaking}
         for name, load in {**{name: turn.loads[name] for name in self.joints}, **shaking}.items():
             for what, of in _LOADS:
-                row |= _components(f"{name}_{what}", getattr(load, what)[c, i], of)
+                row |= components_of(f"{name}_{what}", getattr(load, what)[c, i], of)
         for name, load in turn.in_axes.items():
             for what, of in _LOADS:
-                row |= _components(f"{name}_{what}_{turn.axes}", getattr(load, what)[c, i], of)
+                row |= components_of(f"{name}_{what}_{turn.axes}", getattr(load, what)[c, i], of)
         for name, one in turn.points.items():
-            row |= _components(name, one.position[c, i], "m")
-            row |= _components(f"{name}_angle", self.angles[name][c, i], "rad")
+            row |= components_of(name, one.position[c, i], "m")
+            row |= components_of(f"{name}_angle", self.angles[name][c, i], "rad")
         return row | {f"{name}_stress_Pa": float(values[c, i]) for name, values in turn.stress.items()}
 
     def parts(self) -> Parts:
@@ -166,7 +165,3 @@ class LabelledTurn(LabelledResult):
             parts += [f"* {failed} of {self.turn.status.shape[1]} positions were not assembled ({self.statuses()[c]})."]
             parts += leaving_sentences(jax.tree.map(lambda x: x[c], self.turn.stability), self.turn.status[c])
         return parts
-
-
-def _components(name: str, vector: Sequence[float], unit: str) -> dict[str, float]:
-    return {column_name(f"{name}_{axis}", unit): float(x) for axis, x in zip(COMPONENTS, vector, strict=True)}

@@ -34,6 +34,7 @@ from rfem_jax.mechanics.model.errors import AssemblyErrors, Errors
 from rfem_jax.mechanics.model.inputs import DriveInput
 from rfem_jax.mechanics.model.model import Coordinates, Model, State, length_scale
 from rfem_jax.mechanics.model.orientations import moved
+from rfem_jax.mechanics.model.status import NO_MODES, OK
 from rfem_jax.mechanics.model.topology import Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors, apply_errors
 from rfem_jax.mechanics.statics.assembly import checked_hold, held_angles
@@ -54,7 +55,7 @@ class NaturalModes(eqx.Module):
     out); joints (modes, F), elastic (modes, 6, rfes): shapes, of modal mass one [1/sqrt(kg) times the coordinate's
     unit]; separation: relative distance of `square` from the next one, below `REPEATED` derivatives mean nothing;
     asymmetry: of the stiffness matrix, relative, not zero only under forces without a potential; position: the
-    equilibrium; status of the assembly.
+    equilibrium; status: of the assembly, or `NO_MODES` where frequencies or shapes are not finite.
     """
 
     frequency: Float[Array, " modes"]
@@ -68,7 +69,7 @@ class NaturalModes(eqx.Module):
     status: Int[Array, ""]
 
     @property
-    def repeated(self) -> Float[Array, " modes"]:
+    def repeated(self) -> Float[Array, "*batch modes"]:
         """1 where a frequency is repeated and has no derivative, else 0."""
         return jnp.where(self.separation < REPEATED, 1.0, 0.0)
 
@@ -118,17 +119,18 @@ def _natural(model: Model, errors: AssemblyErrors, hold: dict[str, Array] | str 
     square, vectors, separation = _lowest(matrices, constraints, count, topology.minimum_norm)
     of_dampers = jnp.einsum("mi,ij,mj->m", vectors, matrices.damping, vectors)
     rate = safe_sqrt(square)
+    finite = jnp.all(jnp.isfinite(square)) & jnp.all(jnp.isfinite(vectors)) & jnp.all(jnp.isfinite(of_dampers))
     freedoms = topology.n_freedoms
     return NaturalModes(
         frequency=rate / (2.0 * jnp.pi),
         square=square,
-        damping=jnp.where(rate > 0.0, of_dampers / jnp.where(rate > 0.0, 2.0 * rate, 1.0), 0.0),
+        damping=jnp.where(rate == 0.0, 0.0, of_dampers / jnp.where(rate == 0.0, 1.0, 2.0 * rate)),
         joints=vectors[:, :freedoms],
         elastic=_elastic_shapes(actual, position, vectors, chosen),
         separation=separation,
         asymmetry=matrices.asymmetry,
         position=position,
-        status=status,
+        status=jnp.where((status == OK) & ~finite, NO_MODES, status).astype(jnp.int32),
     )
 
 
@@ -213,7 +215,8 @@ def linearised(
     stiffness = stiffness + by_multipliers[:, at] @ closing[at, :n]
     damping = damping + by_multipliers[:, at] @ closing[at, n : 2 * n]
     symmetric = 0.5 * (stiffness + stiffness.T)
-    asymmetry = jnp.max(jnp.abs(stiffness - symmetric)) / jnp.max(jnp.abs(stiffness))
+    largest = jnp.max(jnp.abs(stiffness))
+    asymmetry = jnp.max(jnp.abs(stiffness - symmetric)) / jnp.where(largest > 0.0, largest, 1.0)
     return Linearised(
         0.5 * (mass + mass.T), 0.5 * (damping + damping.T), symmetric, rows[np.flatnonzero(~sprung)], asymmetry
     )
@@ -291,4 +294,5 @@ def _eigenpairs(matrix: Array, rows: Array, count: int) -> tuple[Array, Array, A
     nearest = jnp.minimum(jnp.append(gaps, jnp.inf)[:count], jnp.insert(gaps, 0, jnp.inf)[:count])
     chosen = vectors[:, :count].T
     multipliers = -(chosen @ matrix - values[:count, None] * chosen) @ inverse
-    return values[:count], chosen, multipliers, nearest / jnp.abs(values[:count]), left_open
+    apart = jnp.where(nearest == 0.0, 0.0, nearest / jnp.abs(values[:count]))
+    return values[:count], chosen, multipliers, apart, left_open

@@ -313,7 +313,7 @@ def _step_start(solver: GeneralisedAlphaSolver, y, memory: Memory, before, h, pl
     if tolerance is not None and memory.following is not None:
         before = jnp.where(place == 0.0, memory.following.length, h)
         h = jnp.where(place == 0.0, 0.0, h)  # contacts move the method's accelerations to the length of each part
-    trajectory, memory = solver.at_new_length(trajectory, memory, before, h)
+    trajectory, memory = solver.formulas.at_new_length(trajectory, memory, before, h)
     return (trajectory, peaks), memory
 
 

@@ -287,11 +287,9 @@ class Vibration:
             return row
         sides, reader = self._reader(law, placed)
         for node, sign in sides:
-            while node != BASE:
-                link = self.topology.link_of(node)
+            for _, link in self.topology.to_base(node):
                 for k in self.topology.coordinates[link]:
                     row[k] += sign * reader @ placed.twists[k]
-                node = self.topology.parents[link]
         return row
 
     def _all(self, constraints: np.ndarray, by_springs: np.ndarray, by_dampers: np.ndarray) -> Modes:

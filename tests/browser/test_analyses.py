@@ -47,7 +47,11 @@ MODES = {
                 {"frequency": 80.25, "damping_ratio": 0.02, "repeated": False, "stable": True,
                  "derivatives": {"D.delta_x": None, "bar.length": 1.0}},
             ],
-        }
+        },
+        "tilted": {
+            "status": "no_modes",
+            "modes": [{"frequency": None, "damping_ratio": None, "repeated": False, "stable": None}] * 2,
+        },
     },
     "shapes": {
         "case": "perfect",
@@ -160,7 +164,8 @@ def test_the_turn_shows_where_points_go_and_what_the_base_feels(page):
 
 def test_modes_swing_and_are_seen_from_where_they_move(page):
     page.tab("Modes")
-    assert cells(page, "#frequencies")[1][:3] == ["2", "80.25", "0.02"]
+    assert cells(page, "#frequencies")[1][:4] == ["2", "80.25", "n/a", "0.02"]
+    assert "tilted*" in page.text("#frequencies") and page.text("#page-task-1 .failed") == "* tilted: no_modes."
     pressed = "return document.querySelector('#mode-view button[aria-pressed=true]').dataset.value"
     assert page.run(pressed) == "2"
     first = ends(page, "#mode-shape .curve")

@@ -10,7 +10,8 @@ from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.elements import elasticity
 from rfem_jax.mechanics.kinematics.motion import relative_motion
 from rfem_jax.mechanics.model.with_errors import apply_errors
-from rfem_jax.mechanics.reference.formulation import exact_deflections, transforms
+from rfem_jax.mechanics.reference.face_deflections import exact_deflections
+from rfem_jax.mechanics.reference.node_transforms import transforms
 from tests.mechanisms import four_bar, open_chain, random_state, some_errors
 
 

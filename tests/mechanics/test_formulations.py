@@ -15,7 +15,8 @@ from rfem_jax.mechanics.dynamics.dynamics import accelerations
 from rfem_jax.mechanics.laws.frame_forces import Time
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.model.with_errors import apply_errors
-from rfem_jax.mechanics.reference.formulation import constraints, reference_accelerations
+from rfem_jax.mechanics.reference.formulation import reference_accelerations
+from rfem_jax.mechanics.reference.node_transforms import constraints
 from tests.mechanisms import (
     ALL,
     chain_of_kinds,

@@ -4,11 +4,18 @@ import csv
 import json
 import math
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from rfem_jax import load_study
+from rfem_jax.mechanics.model.model import Coordinates
+from rfem_jax.mechanics.model.status import NO_MODES, OK
 from rfem_jax.report import command_line
+from rfem_jax.report.analyses import modes_report
 from rfem_jax.report.command_line import main
+from rfem_jax.simulation.modes import NaturalModes
 from tests.study_texts import STEEL, hinge, link, rectangle
 
 from .page_folder import content_of
@@ -78,6 +85,27 @@ def test_modes_of_all_cases_with_derivatives(study, tmp_path, capsys):
     np.testing.assert_allclose(np.abs(moves).max(axis=(1, 2)), 1.0)
     np.testing.assert_allclose(moves[:, 0], 0.0, atol=1e-6)
     assert [one["name"] for one in content_of(out / "report.html")["tasks"]] == ["modes"]
+
+
+def test_frequencies_that_are_not_numbers_are_told(study, tmp_path):
+    """As of one of two cases: in the table, in the files, and by their status."""
+
+    def modes_of(frequency, status):
+        values, nothing = jnp.full(1, frequency), jnp.zeros((1, 6, 0))
+        still = Coordinates(jnp.zeros(1), nothing[0])
+        shapes = values[:, None], nothing
+        return NaturalModes(values, values, values, *shapes, jnp.ones(1), jnp.zeros(()), still, jnp.asarray(status))
+
+    modes = jax.tree.map(lambda *x: np.stack(x), modes_of(1.5, OK), modes_of(np.nan, NO_MODES))
+    result = modes_report.ModesResult(modes, (), (), np.zeros((2, 1, 0)))
+    read = load_study(study)
+    text = modes_report.modes_text(read, result)
+    assert "longer*, Hz" in text and "nominal, Hz" in text and "not finite numbers" in text
+    modes_report.write_modes(tmp_path, read, result, modes_report.Shapes({}, {"arm": np.zeros((1, 2, 3))}))
+    cases = json.loads((tmp_path / "modes.json").read_text(encoding="utf-8"))["cases"]
+    assert [one["status"] for one in cases.values()] == ["ok", "no_modes"]
+    assert [one["modes"][0]["stable"] for one in cases.values()] == [True, None]
+    assert cases["longer"]["modes"][0]["frequency"] is None
 
 
 @pytest.mark.slow

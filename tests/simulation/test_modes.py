@@ -13,12 +13,14 @@ from rfem_jax import (
     Link,
     Mechanism,
     PrescribedRate,
+    RigidBody,
     assembly_errors,
     design,
     deviations,
     discretise,
     natural_frequencies,
 )
+from rfem_jax.mechanics.model.status import STATUS
 from rfem_jax.simulation.modes import REPEATED
 from rfem_jax.simulation.stability import eigenvalues
 from rfem_jax.simulation.vibration import Vibration
@@ -141,3 +143,32 @@ def test_a_higher_section_swings_faster_as_a_deviation_and_as_a_design():
     assert height / width == pytest.approx(1.1, rel=1e-3)
     slope = evaluated(jax.jacfwd(lowest))(jnp.asarray(more))
     np.testing.assert_allclose(np.sort(slope), [0.0, height / 0.011], rtol=2e-3, atol=1e-3 * height / 0.011)
+
+
+def test_frequencies_that_are_not_numbers_are_not_ok():
+    """A ring turns about the axis of a heavy arm: beside that, in the matrix of masses, its inertia is rounding."""
+    ring = Link("ring", 0.1, body=RigidBody(1e-3, (0.0, 0.0, 0.0), (1e-3, 1e-3, 1e-3)))
+    arm = Link("arm", 0.1, body=RigidBody(1.0, (0.1, 0.0, 0.03), (1e-3, 1e-3, 1e-3)))
+    joints = [Joint("A", "base", "ring", angle=0.3), Joint("B", "ring", "arm", angle=0.4, position=(0.0, 0.0, 0.0))]
+    model = discretise(Mechanism([ring, arm], joints, driven_joint="A"))
+    numbers = ("ring.mass", "ring.inertia.x", "ring.inertia.y", "ring.inertia.z")
+
+    def modes(inertia):
+        return natural_frequencies(model, count=1, design=design(model, dict.fromkeys(numbers, inertia)))
+
+    found = jax.jit(jax.vmap(modes))(jnp.asarray([1e-3, 1e-20, 1e-6]))
+    assert [STATUS[int(code)].name for code in found.status] == ["ok", "no_modes", "ok"]
+    # The ring is held, the arm a pendulum.
+    reach = np.hypot(0.1, 0.03)
+    expected = np.sqrt(9.81 * reach / (reach**2 + 1e-3)) / (2.0 * np.pi)
+    np.testing.assert_allclose(found.frequency[np.array([0, 2]), 0], expected, rtol=1e-9)
+    assert np.isnan(found.frequency[1]).all() and np.isnan(found.damping[1]).all()
+
+
+def test_a_body_that_nothing_holds_has_repeated_frequencies_of_zero():
+    """And a stiffness that is zero is symmetric."""
+    body = Link("body", 0.1, body=RigidBody(1.0, (0.0, 0.0, 0.0), (1e-3, 2e-3, 3e-3)))
+    model = discretise(Mechanism([body], [Joint("A", "base", "body", kind="free")], gravity=(0.0, 0.0, 0.0)))
+    found = natural_frequencies(model)
+    assert found.frequency.tolist() == [0.0] * 6 and found.repeated.tolist() == [1.0] * 6
+    assert float(found.asymmetry) == 0.0 and int(found.status) == 0

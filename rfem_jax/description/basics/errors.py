@@ -199,6 +199,14 @@ def require_instance(value: Any, where: str, kind: type | tuple[type, ...], fix:
     return value
 
 
+def require_entries(value: Any, where: str, kind: type | tuple[type, ...], called: str, fix: str) -> tuple[Any, ...]:
+    """Return a list of things of a class, or one of several, as a tuple; else raise InputError: `called`, what it must
+    be a list of; `fix`, what to do."""
+    if not isinstance(value, (list, tuple)) or any(not isinstance(one, kind) for one in value):
+        raise InputError(f"{subject(where)} must be a list of {called}, but was {value!r}; {fix}")
+    return tuple(value)
+
+
 def require_flag(value: object, where: str) -> bool:
     """Return `value` if it is True or False; else raise InputError."""
     if not isinstance(value, bool):

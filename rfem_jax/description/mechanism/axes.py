@@ -103,16 +103,6 @@ def _bend(before: Any, corner: Any, after: Any, radius: Number) -> tuple[Any, An
     return corner - back * along, middle, corner + back * away
 
 
-def require_axis(axis: Any, of: str) -> tuple[AxisPoint, ...]:
-    """Return points of an axis as a tuple; else raise InputError."""
-    if not isinstance(axis, (tuple, list)) or any(not isinstance(one, AxisPoint) for one in axis):
-        raise InputError(
-            f"Argument `axis` {of} must be a list of AxisPoint, but was {axis!r}; write for example "
-            "[AxisPoint((0.1, 0.0, 0.0)), AxisPoint((0.2, 0.0, 0.05))]."
-        )
-    return tuple(axis)
-
-
 def require_curve(axis: Sequence[AxisPoint], through_points: bool, of: str) -> None:
     """Raise InputError for points through which there is no axis, as far as their numbers are known."""
     for n, point in enumerate(axis, start=1):

@@ -8,7 +8,7 @@ Source: theory (1.33).
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -53,16 +53,6 @@ def camber_of(points: Sequence[CamberPoint], length: Number) -> Camber:
     ends = [np.zeros(2)]
     offsets = [*ends, *(array_of([point.y, point.z]) for point in points), *ends]
     return camber_through([0.0, *(point.x for point in points), length], offsets)
-
-
-def require_camber(camber: Any, of: str) -> tuple[CamberPoint, ...]:
-    """Return points of a camber as a tuple; else raise InputError."""
-    if not isinstance(camber, (tuple, list)) or any(not isinstance(one, CamberPoint) for one in camber):
-        raise InputError(
-            f"Argument `camber` {of} must be a list of CamberPoint, but was {camber!r}; write for example "
-            "[CamberPoint(0.1, y=5e-5), CamberPoint(0.2, y=8e-5)]."
-        )
-    return tuple(camber)
 
 
 def require_between_ends(camber: Sequence[CamberPoint], length: Number, of: str) -> None:

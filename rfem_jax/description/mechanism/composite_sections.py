@@ -21,20 +21,18 @@ from rfem_jax.description.basics.numbers import (
     Numbers,
     NumberTree,
     is_known,
-    positive_number,
     read_number,
     value_of,
 )
 from rfem_jax.description.basics.units import short
 from rfem_jax.description.mechanism.section_bases import (
-    EDGE_FIELDS,
     CoupledProperties,
     EdgePoint,
     OwnStiffness,
+    check_edge,
     convert_numbers,
     inverse_of,
     refuse_material,
-    require_edge,
     require_triangle,
 )
 
@@ -95,10 +93,7 @@ class CompositeSection(OwnStiffness, NumberTree, ChecksItself):
         checks.convert("stiffness", _read_matrix)
         convert_numbers(checks, self.numbers)
         checks.relation(self.inertias[1:], self._check_inertias)
-        for name, dimension in EDGE_FIELDS.items():
-            if getattr(self, name) is not None:
-                checks.convert(name, positive_number, dimension, f"`{name}` of CompositeSection")
-        checks.relation(tuple(EDGE_FIELDS), require_edge, self)
+        check_edge(checks, self)
 
     def _check_inertias(self) -> None:
         entries = [getattr(self, name) for name in self.inertias[1:]]

@@ -17,6 +17,7 @@ from rfem_jax.description.basics.errors import (
     Checks,
     ChecksItself,
     InputError,
+    require_entries,
     require_flag,
     require_instance,
     require_name,
@@ -37,8 +38,8 @@ from rfem_jax.description.basics.numbers import (
     traced,
 )
 from rfem_jax.description.basics.units import DERIVED, Quantity, short
-from rfem_jax.description.mechanism.axes import AxisPoint, curve_of, require_axis, require_curve
-from rfem_jax.description.mechanism.cambers import CamberPoint, camber_of, require_between_ends, require_camber
+from rfem_jax.description.mechanism.axes import AxisPoint, curve_of, require_curve
+from rfem_jax.description.mechanism.cambers import CamberPoint, camber_of, require_between_ends
 from rfem_jax.description.mechanism.curves import Camber, Curve
 from rfem_jax.description.mechanism.materials import Material
 from rfem_jax.description.mechanism.reduced_bodies import ReducedBody
@@ -50,7 +51,6 @@ from rfem_jax.description.mechanism.stations import (
     Station,
     require_alike,
     require_order,
-    require_stations,
     section_between,
     spans_of,
 )
@@ -102,6 +102,18 @@ def _inertia(inertia: Any, where: str) -> tuple[float, float, float]:
         non_negative_number(entry, "moment_of_inertia", where)
     require_triangle(principal, where)
     return principal
+
+
+ENTRIES = {
+    "axis": (
+        AxisPoint, "AxisPoint", "write for example [AxisPoint((0.1, 0.0, 0.0)), AxisPoint((0.2, 0.0, 0.05))].",
+    ),
+    "camber": (
+        CamberPoint, "CamberPoint", "write for example [CamberPoint(0.1, y=5e-5), CamberPoint(0.2, y=8e-5)].",
+    ),
+    "point_masses": (PointMass, "PointMass", "write for example [PointMass(0.05, 0.12)]."),
+    "stations": (Station, "Station", "write for example [Station(section=Rectangle(0.01, 0.005))]."),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -166,8 +178,8 @@ class Link(NumberTree, ChecksItself):
     def _check_fields(self, checks: Checks) -> None:
         checks.convert("name", require_name, "`name` of a link", ("base",))
         of = f"of link `{self.name}`"
-        checks.convert("axis", require_axis, of)
-        checks.convert("camber", require_camber, of)
+        checks.convert("axis", require_entries, f"`axis` {of}", *ENTRIES["axis"])
+        checks.convert("camber", require_entries, f"`camber` {of}", *ENTRIES["camber"])
         checks.convert("smooth", require_flag, f"`smooth` {of}")
         checks.convert("form_errors", require_flag, f"`form_errors` {of}")
         if self.axis:
@@ -199,8 +211,8 @@ class Link(NumberTree, ChecksItself):
         if self.flexibility is not None:
             checks.convert("flexibility", _flexibility, of)
             checks.relation(("rigid", "rfes", "body", "flexibility"), self._check_flexible, of)
-        checks.convert("point_masses", _masses, of)
-        checks.convert("stations", require_stations, of)
+        for name in ("point_masses", "stations"):
+            checks.convert(name, require_entries, f"`{name}` {of}", *ENTRIES[name])
         checks.relation(("length", "section", "body", "stations"), self._check_stations, of)
         for entry in self.point_masses if checks.passed("point_masses") else ():
             checks.relation(("length", "rigid", "rfes"), self._check_point_mass, entry, of)
@@ -447,12 +459,3 @@ def _flexibility(given: Any, of: str) -> tuple[str, ...]:
             f"{short(given)}; leave it out for all."
         )
     return words
-
-
-def _masses(given: Any, of: str) -> tuple[PointMass, ...]:
-    if not isinstance(given, (tuple, list)) or any(not isinstance(entry, PointMass) for entry in given):
-        raise InputError(
-            f"Argument `point_masses` {of} must be a list of PointMass, but was {given!r}; "
-            "write for example [PointMass(0.05, 0.12)]."
-        )
-    return tuple(given)

@@ -18,6 +18,7 @@ from rfem_jax.description.basics.errors import (
     InputError,
     Problems,
     require_choice,
+    require_entries,
     require_instance,
     subject,
     suggestion,
@@ -428,11 +429,8 @@ class Mechanism(NumberTree, ChecksItself):
 
 
 def _unique(entries: Any, kind: type[Part], where: str) -> tuple[Part, ...]:
-    if not isinstance(entries, (list, tuple)) or any(not isinstance(e, kind) for e in entries):
-        raise InputError(
-            f"Argument `{where}` must be a list of {kind.__name__} objects, but was {entries!r}; "
-            f"write [{kind.__name__}(...), ...]."
-        )
+    name = kind.__name__
+    entries = require_entries(entries, where, kind, f"{name} objects", f"write [{name}(...), ...].")
     twice = [name for name, count in Counter(entry.name for entry in entries).items() if count > 1]
     if twice:
         raise InputError(

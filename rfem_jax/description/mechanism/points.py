@@ -12,7 +12,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError, require_name, suggestion
+from rfem_jax.description.basics.errors import (
+    Checks,
+    ChecksItself,
+    InputError,
+    require_entries,
+    require_name,
+    suggestion,
+)
 from rfem_jax.description.basics.numbers import ANY, Fields, NumberTree, is_known
 from rfem_jax.description.basics.units import Quantity
 from rfem_jax.description.mechanism.joints import Joint
@@ -125,11 +132,9 @@ def named_points(links: Iterable[Link], joints: Iterable[Joint]) -> dict[str, Na
 
 def read_points(entries: Any) -> tuple[Point | str, ...]:
     """Points, and names of those that have names already. Raises InputError."""
-    if not isinstance(entries, (list, tuple)) or any(not isinstance(one, (Point, str)) for one in entries):
-        raise InputError(
-            "Argument `points` must be a list of Point objects, and of names of joints and ends of links, but was "
-            f'{entries!r}; write for example [Point("P", "coupler", 0.1), "B", "coupler.end"].'
-        )
+    called = "Point objects, and of names of joints and ends of links"
+    write = 'write for example [Point("P", "coupler", 0.1), "B", "coupler.end"].'
+    entries = require_entries(entries, "points", (Point, str), called, write)
     names = Counter(one if isinstance(one, str) else one.name for one in entries)
     if twice := [name for name, count in names.items() if count > 1]:
         raise InputError(

@@ -17,7 +17,7 @@ import numpy as np
 from jax.tree_util import GetAttrKey
 from jaxtyping import Float
 
-from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError
+from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError, require_entries
 from rfem_jax.description.basics.numbers import NOT_NEGATIVE, Fields, read_number
 from rfem_jax.description.basics.units import short
 
@@ -69,7 +69,8 @@ class ReducedBody(ChecksItself):
             if getattr(self, name) is not None:
                 checks.convert(name, _array, shape, name)
                 checks.relation(("interfaces", "mass", "stiffness", name), self._check_columns, name)
-        checks.convert("stress_names", _names)
+        where, write = "`stress_names` of a reduced body", 'write for example ["fillet", "bore"].'
+        checks.convert("stress_names", require_entries, where, str, "texts", write)
         checks.relation(("stresses", "stress_names"), self._check_names)
         if not checks.failed:
             checks.relation(("interfaces", "mass", "stiffness"), self._check_physics)
@@ -267,12 +268,3 @@ def _symmetric(given: Any, name: str) -> Any:
             "give both halves."
         )
     return 0.5 * (matrix + matrix.T)
-
-
-def _names(given: Any) -> tuple[str, ...]:
-    if not isinstance(given, (list, tuple)) or any(not isinstance(one, str) for one in given):
-        raise InputError(
-            f"Argument `stress_names` of a reduced body must be a list of texts, but was {given!r}; write for example "
-            '["fillet", "bore"].'
-        )
-    return tuple(given)

@@ -17,7 +17,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from rfem_jax.description.basics.errors import Checks, ChecksItself, InputError, require_name
-from rfem_jax.description.basics.numbers import Fields, Numbers, NumberTree, is_known, read_number, traced
+from rfem_jax.description.basics.numbers import (
+    Fields,
+    Numbers,
+    NumberTree,
+    is_known,
+    positive_number,
+    read_number,
+    traced,
+)
 from rfem_jax.description.mechanism.materials import Material
 
 ROUND_POINTS = 32  # at the edge of a round section: the largest stress is found to within 0.5 %
@@ -220,7 +228,15 @@ class OwnStiffness:
 EDGE_FIELDS = {"edge_y": "length", "edge_z": "length", "edge_modulus": "pressure", "torsion_modulus": "section_modulus"}
 
 
-def require_edge(section: Any) -> None:
+def check_edge(checks: Checks, section: Any) -> None:
+    """Check and convert the edge of a section."""
+    for name, dimension in EDGE_FIELDS.items():
+        if getattr(section, name) is not None:
+            checks.convert(name, positive_number, dimension, f"`{name}` of {type(section).__name__}")
+    checks.relation(tuple(EDGE_FIELDS), _require_edge, section)
+
+
+def _require_edge(section: Any) -> None:
     """Raise InputError if only some of the edge of a section is given."""
     missing = [name for name in EDGE_FIELDS if getattr(section, name) is None]
     if missing and len(missing) < len(EDGE_FIELDS):

@@ -26,7 +26,6 @@ from rfem_jax.description.basics.numbers import (
     chosen,
     is_known,
     larger,
-    positive_number,
     smaller,
     traced,
 )
@@ -35,14 +34,13 @@ from rfem_jax.description.mechanism.composite_sections import CompositeSection
 from rfem_jax.description.mechanism.materials import Material
 from rfem_jax.description.mechanism.polygons import PolygonSection
 from rfem_jax.description.mechanism.section_bases import (
-    EDGE_FIELDS,
     EdgePoint,
     OwnStiffness,
     SectionProperties,
     Shape,
+    check_edge,
     convert_numbers,
     refuse_material,
-    require_edge,
     require_triangle,
 )
 from rfem_jax.description.mechanism.walled_sections import (
@@ -119,8 +117,20 @@ class Rectangle(Shape):
         return corners + sides + tuple(self._edge_point(0.0, z * a, across_z) for a in (1.0, -1.0))
 
 
+class RoundShape(Shape):
+    """A section that is the same about all axes across it."""
+
+    @property
+    def second_moment_z(self) -> Numbers:
+        return self.second_moment_y
+
+    @property
+    def torsion_constant(self) -> Numbers:
+        return 2.0 * self.second_moment_y
+
+
 @dataclass(frozen=True)
-class Circle(Shape):
+class Circle(RoundShape):
     """A solid circle.
 
     Args:
@@ -147,17 +157,9 @@ class Circle(Shape):
     def second_moment_y(self) -> Numbers:
         return math.pi * self.diameter**4 / 64.0
 
-    @property
-    def second_moment_z(self) -> Numbers:
-        return self.second_moment_y
-
-    @property
-    def torsion_constant(self) -> Numbers:
-        return 2.0 * self.second_moment_y
-
 
 @dataclass(frozen=True)
-class Tube(Shape):
+class Tube(RoundShape):
     """A circular tube.
 
     Args:
@@ -225,14 +227,6 @@ class Tube(Shape):
     def second_moment_y(self) -> Numbers:
         return self.area * (self.outer_diameter**2 + self.inner_diameter**2) / 16.0
 
-    @property
-    def second_moment_z(self) -> Numbers:
-        return self.second_moment_y
-
-    @property
-    def torsion_constant(self) -> Numbers:
-        return 2.0 * self.second_moment_y
-
 
 @dataclass(frozen=True)
 class GivenSection(OwnStiffness, NumberTree, ChecksItself):
@@ -287,10 +281,7 @@ class GivenSection(OwnStiffness, NumberTree, ChecksItself):
         inertias = ("rotary_inertia_x", "rotary_inertia_y", "rotary_inertia_z")
         where = "`rotary_inertia_x`, `_y` and `_z` of GivenSection"
         checks.relation(inertias, require_triangle, tuple(getattr(self, one) for one in inertias), where)
-        for name, dimension in EDGE_FIELDS.items():
-            if getattr(self, name) is not None:
-                checks.convert(name, positive_number, dimension, f"`{name}` of GivenSection")
-        checks.relation(tuple(EDGE_FIELDS), require_edge, self)
+        check_edge(checks, self)
 
     def edge_stresses(self) -> tuple[EdgePoint, ...]:
         """At the corners of the rectangle around the section, together with the largest shear stress of torsion; none

@@ -99,16 +99,6 @@ def _derives(tube: Tube) -> bool:
     return is_known(tube.shear_factor, tube.outer_diameter, tube.wall) and tube.shear_factor == tube.derived_factor
 
 
-def require_stations(stations: Any, of: str) -> tuple[Station, ...]:
-    """Return stations as a tuple; else raise InputError."""
-    if not isinstance(stations, (tuple, list)) or any(not isinstance(one, Station) for one in stations):
-        raise InputError(
-            f"Argument `stations` {of} must be a list of Station, but was {stations!r}; write for example "
-            "[Station(section=Rectangle(0.01, 0.005))]."
-        )
-    return tuple(stations)
-
-
 def require_order(length: Number, stations: Sequence[Station], of: str) -> None:
     """Raise InputError for stations that do not follow each other on the link, as far as their places are known."""
     for n, station in enumerate(stations, start=1):

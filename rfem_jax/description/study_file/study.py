@@ -22,6 +22,7 @@ from rfem_jax.description.basics.errors import (
     condensed,
     located,
     require_choice,
+    require_entries,
     suggestion,
 )
 from rfem_jax.description.basics.notebook_tables import study_html
@@ -467,11 +468,7 @@ def _drives(drive: Any) -> Any:
 
 
 def _cases(cases: Any) -> tuple[Case, ...]:
-    if not isinstance(cases, (list, tuple)) or any(not isinstance(case, Case) for case in cases):
-        raise InputError(
-            f'Argument `cases` must be a list of Case objects, but was {cases!r}; write [Case("P1"), ...].'
-        )
-    return tuple(cases) or (Case("nominal"),)
+    return require_entries(cases, "cases", Case, "Case objects", 'write [Case("P1"), ...].') or (Case("nominal"),)
 
 
 def _file_name(name: Any) -> str:

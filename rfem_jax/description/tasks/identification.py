@@ -18,6 +18,7 @@ from rfem_jax.description.basics.errors import (
     Problems,
     located,
     require_choice,
+    require_entries,
     require_flag,
     subject,
 )
@@ -354,6 +355,4 @@ def _path(path: object, what: str = "data", kind: str = "CSV", example: str = "m
 
 
 def _names(names: object) -> tuple[str, ...]:
-    if not isinstance(names, (list, tuple)) or not all(isinstance(one, str) for one in names):
-        raise InputError(f'Argument `unknowns` must be a list of names, but was {names!r}; write ["D.delta_x"].')
-    return tuple(dict.fromkeys(names))
+    return tuple(dict.fromkeys(require_entries(names, "unknowns", str, "names", 'write ["D.delta_x"].')))

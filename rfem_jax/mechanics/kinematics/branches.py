@@ -15,7 +15,7 @@ from jaxtyping import Float
 from rfem_jax.mechanics.algebra.vectors import cross, dot
 from rfem_jax.mechanics.kinematics.cut_joints import Closure
 from rfem_jax.mechanics.kinematics.motion import Motion
-from rfem_jax.mechanics.model.topology import BASE, Topology
+from rfem_jax.mechanics.model.topology import Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 
 
@@ -74,7 +74,9 @@ def _sides(topology: Topology, cut: int) -> tuple[list[int], list[int]] | None:
     """Links on both sides of a cut joint, from there on, whose joints move the loop and are not driven; None where a
     joint of the loop has several coordinates."""
     joint = topology.n_links + cut
-    left, right = (_path(topology, side[joint]) for side in (topology.parents, topology.children))
+    left, right = (
+        [link for _, link in topology.to_base(side[joint])] for side in (topology.parents, topology.children)
+    )
     sides = [link for link in left if link not in right], [link for link in right if link not in left]
     count = {link: len(topology.kind(link).nominal.freedoms) for side in sides for link in side}
     if any(number > 1 for number in count.values()):
@@ -84,12 +86,3 @@ def _sides(topology: Topology, cut: int) -> tuple[list[int], list[int]] | None:
         return count[link] == 1 and topology.own_coordinates[link][0] not in topology.drives
 
     return [link for link in sides[0] if free(link)], [link for link in sides[1] if free(link)]
-
-
-def _path(topology: Topology, node: int) -> list[int]:
-    """Links from a node to the base."""
-    path = []
-    while node != BASE:
-        path.append(topology.link_of(node))
-        node = topology.parents[path[-1]]
-    return path

@@ -7,7 +7,9 @@ discretisation      its loops closed at the start, rank and mobility
 nominal_geometry    the perfect mechanism in NumPy: does it close, rank, mobility; with nominal_path, start_freedoms,
                     normal_loads
 errors              assembly errors by their names -> AssemblyErrors
-with_errors         + AssemblyErrors -> constants of the equations of motion
+with_errors         + AssemblyErrors -> constants of the equations of motion, with what stands on links with errors:
+                    frames_with_errors: joints; masses_with_errors; elements_with_errors: springs and dampers;
+                    carried_frames: forces, points
 inputs              the drive at one instant
 orientations        coordinates that are quaternions
 sources             the numbers that a model was made of

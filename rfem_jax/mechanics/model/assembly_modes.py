@@ -182,7 +182,8 @@ class FourJoints(NamedTuple):
 def four_joint_loop(topology: Topology, cut: str) -> FourJoints | None:
     """The loop that a cut joint closes, if it has modes."""
     joint = topology.joints.index(cut)
-    paths = [_path(topology, node) for node in (topology.parents[joint], topology.children[joint])]
+    ends = topology.parents[joint], topology.children[joint]
+    paths = [[link for _, link in topology.to_base(node)] for node in ends]
     while paths[0] and paths[1] and paths[0][-1] == paths[1][-1]:
         paths = [path[:-1] for path in paths]
     ring = [joint, *paths[1], *reversed(paths[0])]
@@ -201,15 +202,6 @@ def four_joint_loop(topology: Topology, cut: str) -> FourJoints | None:
     return FourJoints(
         (turned[0], turned[1], turned[2], turned[3]), topology.coordinates[slides[0]][0] if slides else None
     )
-
-
-def _path(topology: Topology, node: int) -> list[int]:
-    """Tree joints from a node to the base."""
-    path = []
-    while node != BASE:
-        path.append(topology.link_of(node))
-        node = topology.parents[path[-1]]
-    return path
 
 
 def modes_of(model: Model, loop: FourJoints, found: Sequence[Closed]) -> list[tuple[str, Placed]]:

@@ -225,7 +225,7 @@ def _coupling_gap(
         value, slope = jax.vmap(law.transmitted)(jnp.asarray(first.reshape(-1)))
     unit = geometry.scale if geometry.topology.slides[law.coordinates[1]] else 1.0
     value, slope = (np.asarray(one).reshape(first.shape) for one in (value, slope))
-    return (second - value - float(law.offset)) / unit, -slope / unit
+    return np.asarray((second - value - float(law.offset)) / unit), np.asarray(-slope / unit)
 
 
 def _alignment(kind: JointKind, products: Float[np.ndarray, "*t 3 3"]) -> Float[np.ndarray, "*t"]:
@@ -290,14 +290,12 @@ def closure_jacobian(
         start, stop = stop, stop + len(left)
         block = jacobian[start:stop]
         for node, rows in ((topology.parents[joint], left), (topology.children[joint], right)):
-            while node != BASE:
-                link = topology.link_of(node)
-                if node >= n:
-                    k = freedoms + 6 * (node - n)
-                    block[:, k : k + 6] += rows @ _elastic_twists(geometry, placed, link, node - n)
+            for one, link in topology.to_base(node):
+                if one >= n:
+                    k = freedoms + 6 * (one - n)
+                    block[:, k : k + 6] += rows @ _elastic_twists(geometry, placed, link, one - n)
                 for k in topology.coordinates[link]:
                     block[:, k] += units[k] * (rows @ placed.twists[k])
-                node = topology.parents[link]
     if topology.slender:
         jacobian = jacobian @ _coordinate_rates(geometry)
     for row, law in zip(jacobian[stop:], geometry.couplings, strict=True):

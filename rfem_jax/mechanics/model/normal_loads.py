@@ -23,7 +23,7 @@ from rfem_jax.mechanics.model.nominal_geometry import (
     null_space,
     place,
 )
-from rfem_jax.mechanics.model.topology import BASE, Topology
+from rfem_jax.mechanics.model.topology import Topology
 
 UNIQUE = 1e-7  # share of a reaction across an axis that counts as none
 
@@ -81,9 +81,4 @@ def _pressing(placed: Placed, law: Friction, force: np.ndarray, moment: np.ndarr
 
 def _is_outboard(topology: Topology, node: int, link: int) -> bool:
     """Whether a node is on a link or outboard of it."""
-    while node != BASE:
-        owner = topology.link_of(node)
-        if owner == link:
-            return True
-        node = topology.parents[owner]
-    return False
+    return any(owner == link for _, owner in topology.to_base(node))

@@ -18,7 +18,7 @@ class Status(NamedTuple):
 
 OK, NOT_ASSEMBLED, WRONG_SIDE, DIVERGED, DRIFTED, STEPS_EXHAUSTED, OUT_OF_RANGE, NOT_CONVERGED = range(8)
 NOT_CLOSED, DESIGN_OUT_OF_RANGE, CONTACT_NOT_RESOLVED, PAST_LIMIT = 8, 9, 10, 11
-CANNOT_CLOSE, NO_EQUILIBRIUM, NOT_BALANCED, UNSTABLE = 12, 13, 14, 15
+CANNOT_CLOSE, NO_EQUILIBRIUM, NOT_BALANCED, UNSTABLE, NO_MODES = 12, 13, 14, 15, 16
 
 STATUS: tuple[Status, ...] = (
     Status("ok", "The run is complete and passed its checks."),
@@ -112,5 +112,11 @@ STATUS: tuple[Status, ...] = (
         "pendulum on its head and a toggle at its dead centre do the same. Reduce the load or make the link stiffer; "
         "hold the freedom; or start beside the equilibrium, or with a small error or force, to find the stable one. A "
         "simulation may start there.",
+    ),
+    Status(
+        "no_modes",
+        "The equilibrium was found, but the frequencies or modes about it are not finite numbers: the matrix of masses "
+        "cannot be factored. Usually a body has next to no inertia beside a heavy one that turns or slides along the "
+        "same line (ten powers of ten are enough apart); give it a mass and moments of inertia.",
     ),
 )

@@ -377,6 +377,14 @@ class Topology(NamedTuple):
         """Link that a node belongs to."""
         return node if node < self.n_links else int(self.link_of_rfe[node - self.n_links])
 
+    def to_base(self, node: int) -> list[tuple[int, int]]:
+        """The nodes from a node to the base, on the way of the tree, each with its link."""
+        way = []
+        while node != BASE:
+            way.append((node, self.link_of(node)))
+            node = self.parents[way[-1][1]]
+        return way
+
     def island_of(self, node: int) -> int:
         """The root of a node's island: an interface of a link that is not slender, or the link joined to the base."""
         while (node < self.n_links and self.parents[node] != BASE) or self.is_slender(node):

@@ -18,8 +18,9 @@ from rfem_jax.mechanics.laws.friction_laws import Friction
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.model.model import Coordinates, State
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
-from rfem_jax.mechanics.reference.formulation import joint_frames, reference_accelerations, transforms
+from rfem_jax.mechanics.reference.formulation import reference_accelerations
 from rfem_jax.mechanics.reference.loads import component_of, reference_wrenches
+from rfem_jax.mechanics.reference.node_transforms import joint_frames, transforms
 
 Rates = Callable[[Array], Array]
 

@@ -19,15 +19,9 @@ from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.model.model import Coordinates, State
 from rfem_jax.mechanics.model.topology import BASE, Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
-from rfem_jax.mechanics.reference.formulation import (
-    element_wrenches,
-    joint_frames,
-    joint_rows,
-    open_multipliers,
-    pseudo_inertias,
-    reference_accelerations,
-    transforms,
-)
+from rfem_jax.mechanics.reference.formulation import open_multipliers, pseudo_inertias, reference_accelerations
+from rfem_jax.mechanics.reference.node_transforms import joint_frames, joint_rows, transforms
+from rfem_jax.mechanics.reference.work_of_elements import element_wrenches
 
 
 def reference_reactions(

@@ -130,7 +130,7 @@ def _remark(modes: NaturalModes, m: int) -> str:
 
 
 def statuses(result: ModesResult) -> list[str]:
-    """Status of the assembly of every case."""
+    """Status of every case."""
     return [STATUS[int(code)].name for code in result.modes.status]
 
 
@@ -139,13 +139,13 @@ def write_modes(folder: Path, study: Study, result: ModesResult, shapes: Shapes)
     modes, rows, cases = result.modes, [], {}
     for c, case in enumerate(study.cases):
         listed = []
-        for m in range(modes.frequency.shape[1]):
+        for m, square in enumerate(modes.square[c]):
             derivatives = {name: float(result.derivatives[c, m, e]) for e, name in enumerate(result.names)}
             one = {
                 "frequency": float(modes.frequency[c, m]),
                 "damping_ratio": float(modes.damping[c, m]),
                 "repeated": bool(modes.repeated[c, m]),
-                "stable": bool(modes.square[c, m] >= 0.0),
+                "stable": None if np.isnan(square) else bool(square >= 0.0),
             }
             listed.append({**one, "derivatives": derivatives})
             row: dict[str, Any] = {"case": case.name, "mode": m + 1, "frequency_Hz": one["frequency"]}

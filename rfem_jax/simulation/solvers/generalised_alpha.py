@@ -1,17 +1,12 @@
 """Generalised-alpha: an implicit method of order 2 whose steps follow the motion, not the stiffness.
 
-Place in the pipeline: equations, newton, implicit_step -> **generalised_alpha** -> solvers, stepping.
+Place in the pipeline: newton, newmark_formulas, step_boundaries -> **generalised_alpha** -> solvers, stepping.
 
-J. Chung, G. M. Hulbert, J. Appl. Mech. 60 (1993) 371-375; for constraints at the level of positions M. Arnold,
-O. Bruels, Multibody Syst. Dyn. 18 (2007) 185-202; theory (7.1) to (7.7):
+The formulas of a step, from the start 0 to the end 1, are those of `newmark_formulas`:
 
-    q1 = q0 + h v0 + h^2 ((1/2 - beta) a0 + beta a1),     v1 = v0 + h ((1 - gamma) a0 + gamma a1)
-    (1 - alpha_m) a1 + alpha_m a0 = (1 - alpha_f) v1' + alpha_f v0'
-    equations of motion at (q1, v1, v1', lambda1, t1),    Phi(q1) = 0
+    (7.1), (7.2) of theory,     equations of motion at (q1, v1, v1', lambda1, t1),     Phi(q1) = 0
 
-with coefficients from the spectral radius at infinite frequency; quaternions turn by the change of q as a rotation
-vector (O. Bruels, A. Cardona, M. Arnold, Mech. Mach. Theory 48 (2012) 121-137).  v' are the accelerations of the
-motion, a the auxiliary ones of the method, lambda the multipliers.
+v' are the accelerations of the motion, a the auxiliary ones of the method, lambda the multipliers.
 
     t0 ------------------------------- h ------------------------------> t1
     StepStart                                                            StepEnd
@@ -47,14 +42,12 @@ from jaxtyping import Array, Bool, Float, PyTree
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.methods import GeneralisedAlpha, Method
 from rfem_jax.kernels import kernel
-from rfem_jax.mechanics.dynamics import loads
-from rfem_jax.mechanics.forces.bush_contacts import contact_losses, contact_memory, remembers, with_memory
+from rfem_jax.mechanics.forces.bush_contacts import contact_memory, remembers
 from rfem_jax.mechanics.forces.friction import (
     FrictionLine,
     FrictionTangent,
     friction_lines,
     friction_tangent,
-    losses,
     states_in,
 )
 from rfem_jax.mechanics.forces.tangents import NO_FRICTION, force_tangents
@@ -70,15 +63,13 @@ from rfem_jax.mechanics.implicit.residual import (
 )
 from rfem_jax.mechanics.kinematics.cut_joints import Closure, closure
 from rfem_jax.mechanics.kinematics.motion import Motion, motion_of
-from rfem_jax.mechanics.kinematics.slender_links import completed_state
-from rfem_jax.mechanics.model.inputs import DriveInput, impose
+from rfem_jax.mechanics.model.inputs import DriveInput
 from rfem_jax.mechanics.model.model import Coordinates, State
-from rfem_jax.mechanics.model.orientations import moved
 from rfem_jax.mechanics.model.topology import Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
 from rfem_jax.simulation import equations
 from rfem_jax.simulation.batches import with_batch_axes
-from rfem_jax.simulation.equations import Conditions, Integrals, Scalar, Trajectory
+from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
 from rfem_jax.simulation.observation import Instant, cut_drift, evaluated_instant
 from rfem_jax.simulation.run import RESIDUAL_LIMIT
 from rfem_jax.simulation.solvers.implicit_step import (
@@ -91,6 +82,14 @@ from rfem_jax.simulation.solvers.implicit_step import (
     solved_step,
     traced_once,
 )
+from rfem_jax.simulation.solvers.newmark_formulas import NewmarkFormulas
+from rfem_jax.simulation.solvers.step_boundaries import (
+    friction_delay,
+    remembering,
+    squared_moments,
+    step_end,
+    with_least_reactions,
+)
 
 CLOSED = 1e-7  # drift of the cut joints that Newton's method may leave, relative to the longest link
 # The residual acts as an error force in every step, and after a jump loads are a fraction of the largest so far: RMS
@@ -100,8 +99,6 @@ CLOSED = 1e-7  # drift of the cut joints that Newton's method may leave, relativ
 # ninth: table in benchmarks/README.md.
 ACCURACY_OF_TOLERANCE = 30.0
 ERROR_OF_FIRST_INCREMENT, REDUCTION_BY_INCREMENT = 5e-3, 1.0 / 13.0
-
-LIKE = 2.0  # a step of up to so many times the length of the one before goes on with its memory
 
 MadeJump = bool | Bool[Array | np.ndarray, ""]
 StepState = tuple[Trajectory, Float[Array, "4 joints"]]
@@ -121,9 +118,9 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
 
     **Arguments:** `method`: an implicit `Method`.
 
-    Attributes: max_increments: largest number of Newton increments in a step; tolerance: largest residual, as a
-    share of the largest joint force; contact_tolerance: with which the caller divides steps (`contact_steps`), 0 if it
-    does not.
+    Attributes: formulas of a step; max_increments: largest number of Newton increments in a step; tolerance: largest
+    residual, as a share of the largest joint force; contact_tolerance: with which the caller divides steps
+    (`contact_steps`), 0 if it does not.
 
     **Raises:** `InputError` for a method that is not implicit.
     """
@@ -133,10 +130,7 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
     # diffrax's adjoints look at it: a step takes every transform.
     scan_kind: ClassVar[str] = "bounded"
 
-    alpha_m: float = eqx.field(static=True)
-    alpha_f: float = eqx.field(static=True)
-    beta: float = eqx.field(static=True)
-    gamma: float = eqx.field(static=True)
+    formulas: NewmarkFormulas = eqx.field(static=True)
     max_increments: int = eqx.field(static=True)
     tolerance: float = eqx.field(static=True)
     contact_tolerance: float = eqx.field(static=True)
@@ -144,11 +138,7 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
     def __init__(self, method: Method):
         if not isinstance(method, GeneralisedAlpha):
             raise InputError(f'Argument `method` must be "generalised_alpha", but is {method.name!r}.')
-        radius = method.spectral_radius
-        self.alpha_m = (2.0 * radius - 1.0) / (radius + 1.0)
-        self.alpha_f = radius / (radius + 1.0)
-        self.gamma = 0.5 + self.alpha_f - self.alpha_m
-        self.beta = 0.25 * (self.gamma + 0.5) ** 2
+        self.formulas = NewmarkFormulas.of_radius(method.spectral_radius)
         self.max_increments = method.corrections
         self.tolerance = method.tolerance
         self.contact_tolerance = method.contact_tolerance
@@ -222,7 +212,7 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         operators = args.operators
         if operators is None:
             operators = jax.tree.map(lambda x: x[0], self.operators(args.actual, h[None]))
-        start = _remembering(StepStart(dataclasses.replace(args, operators=None), trajectory, solver_state))
+        start = remembering(StepStart(dataclasses.replace(args, operators=None), trajectory, solver_state))
         seen = jnp.maximum(peaks, equations.squared_loads(solver_state.rates))
         largest = equations.largest_component(seen)
         if args.actual.friction is not None:
@@ -244,34 +234,9 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         )
         return y1, None, {"y0": y0, "y1": y1}, memory, result
 
-    def at_new_length(
-        self, trajectory: Trajectory, memory: Memory, before: Float[Array, ""], h: Float[Array, ""]
-    ) -> tuple[Trajectory, Memory]:
-        """State and memory at the start of a step of length h [s] after one of length `before` [s].
-
-        Over steps of one length the method's own accelerations a, which lag behind v', add up to the impulse of v'
-        (theory, after (7.5)); where the length changes, the velocity takes what would be missing, and where it changes
-        much, the lag, which belongs to the other length, is forgotten.
-        """
-        unlike = (h > LIKE * before) | (before > LIKE * h)
-
-        def impulse(velocity, auxiliary, present):
-            missing = (before - jnp.where(unlike, 0.0, h)) * (auxiliary - present)
-            return velocity + (0.5 - self.alpha_f) * missing
-
-        present = memory.accelerations
-        velocity = jax.tree.map(impulse, trajectory.velocity, memory.auxiliary, present)
-        auxiliary = jax.tree.map(lambda a, b: jnp.where(unlike, b, a), memory.auxiliary, present)
-        return dataclasses.replace(trajectory, velocity=velocity), memory._replace(auxiliary=auxiliary)
-
-    def factors(self, h: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """Derivatives of q1 [s^2] and v1 [s] with respect to v1' for a step of length h [s]."""
-        share = (1.0 - self.alpha_f) / (1.0 - self.alpha_m)
-        return self.beta * h**2 * share, self.gamma * h * share
-
     def operators(self, actual: ModelWithErrors, lengths: Float[Array, " lengths"]) -> tuple[LinkOperator | None, ...]:
         """Condensed links for steps of several lengths [s], which are the first axis of the result."""
-        condensed = kernel(lambda actual, h: link_operators(actual, *self.factors(h)), name="condensed links")
+        condensed = kernel(lambda actual, h: link_operators(actual, *self.formulas.factors(h)), name="condensed links")
         return jax.vmap(condensed, in_axes=(None, 0))(actual, lengths)
 
     def instant(
@@ -283,9 +248,9 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         drive = conditions.drives.at(t, conditions.phase)
         accelerations, multipliers = memory.accelerations, memory.multipliers
         evaluation = evaluate_residual(conditions.actual, state, accelerations, multipliers, drive, scale)
-        forces = residual_forces(conditions.actual, self._closing_as_acceleration(evaluation, h), drive, scale)
+        forces = residual_forces(conditions.actual, self.formulas.closing_as_acceleration(evaluation, h), drive, scale)
         topology = conditions.actual.topology
-        evaluation = _with_least_reactions(conditions.actual, evaluation)
+        evaluation = with_least_reactions(conditions.actual, evaluation)
         instant = evaluated_instant(topology, evaluation, accelerations, drive, scale, forces)
         return equations.squared_loads(memory.rates), state, drive, instant
 
@@ -341,10 +306,10 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         actual, scale = conditions.actual, conditions.stabilisation.scale
         drive = conditions.drives.at(constants.end, conditions.phase)
         accelerations, _ = self.predict(constants, start)
-        state, _ = self._newmark(h, trajectory, memory, accelerations, actual.topology, drive)
+        state, _ = self.formulas.end_of_step(h, trajectory, memory, accelerations, actual.topology, drive)
         now = motion_of(actual, state)
         if actual.topology.exact:
-            operators = present_operators(actual, now.relative, *self.factors(h))
+            operators = present_operators(actual, now.relative, *self.formulas.factors(h))
         return self._matrix(operators, state, now, closure(actual, now, scale), h, conditions, drive)
 
     def matrix_at(
@@ -363,9 +328,9 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         if not _renews(actual):
             return matrix
         drive = conditions.drives.at(constants.end, conditions.phase)
-        state, _ = self._newmark(h, trajectory, memory, unknowns.accelerations, actual.topology, drive)
-        ahead = _friction_delay(constants, start)
-        factor = self.factors(h)[1] + (0.0 if ahead is None else ahead)
+        state, _ = self.formulas.end_of_step(h, trajectory, memory, unknowns.accelerations, actual.topology, drive)
+        ahead = friction_delay(constants, start)
+        factor = self.formulas.factors(h)[1] + (0.0 if ahead is None else ahead)
         friction = friction_tangent(actual, states_in(evaluation.laws), factor, lines)
         return self._matrix(
             matrix.operators, state, evaluation.motion, evaluation.closure, h, conditions, drive, friction
@@ -384,7 +349,7 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
     ) -> IterationMatrix:
         """The iteration matrix at a state and its motion."""
         actual, scale = conditions.actual, conditions.stabilisation.scale
-        tangents = force_tangents(actual, state, motion, cuts, drive.time, scale, self.factors(h), friction)
+        tangents = force_tangents(actual, state, motion, cuts, drive.time, scale, self.formulas.factors(h), friction)
         return iteration_matrix(actual, operators, motion, cuts, conditions.drives.prescribed, tangents)
 
     def predict(self, constants: StepConstants, start: StepStart) -> Unknowns:
@@ -398,13 +363,7 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         drive = conditions.drives.at(constants.end, conditions.phase)
         accelerations = memory.accelerations
         if topology.exact:
-            moving = h > 0.0
-            step = jnp.where(moving, h, 1.0)
-            # The accelerations with which (7.1) gives q1 = q0 (theory (7.6)).
-            old, a0 = accelerations.elastic, memory.auxiliary.elastic
-            a1 = -(trajectory.velocity.elastic / step + (0.5 - self.beta) * a0) / self.beta
-            mixed = (1.0 - self.alpha_m) * a1 + self.alpha_m * a0 - self.alpha_f * old
-            elastic = jnp.where(moving, mixed / (1.0 - self.alpha_f), old)
+            elastic = self.formulas.keeping_shape(h, trajectory.velocity.elastic, memory)
             accelerations = Coordinates(accelerations.joints, elastic)
         return Unknowns(_with_prescribed(topology, drive, accelerations), memory.multipliers)
 
@@ -414,11 +373,11 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         actual, scale = conditions.actual, conditions.stabilisation.scale
         drive = conditions.drives.at(constants.end, conditions.phase)
         accelerations, multipliers = unknowns
-        state, auxiliary = self._newmark(h, trajectory, memory, accelerations, actual.topology, drive)
-        ahead = _friction_delay(constants, start)
+        state, auxiliary = self.formulas.end_of_step(h, trajectory, memory, accelerations, actual.topology, drive)
+        ahead = friction_delay(constants, start)
         evaluation = evaluate_residual(actual, state, accelerations, multipliers, drive, scale, ahead)
-        evaluation = self._closing_as_acceleration(evaluation, h)
-        return evaluation, self._step_end(evaluation, unknowns, state, auxiliary, drive, h, start)
+        evaluation = self.formulas.closing_as_acceleration(evaluation, h)
+        return evaluation, step_end(evaluation, unknowns, state, auxiliary, drive, h, start)
 
     def end_from_wrenches(
         self,
@@ -432,91 +391,11 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         h, (conditions, trajectory, memory) = constants.length, start
         actual = conditions.actual
         drive = conditions.drives.at(constants.end, conditions.phase)
-        state, auxiliary = self._newmark(h, trajectory, memory, unknowns.accelerations, actual.topology, drive)
-        scale, ahead = conditions.stabilisation.scale, _friction_delay(constants, start)
+        accelerations, topology = unknowns.accelerations, actual.topology
+        state, auxiliary = self.formulas.end_of_step(h, trajectory, memory, accelerations, topology, drive)
+        scale, ahead = conditions.stabilisation.scale, friction_delay(constants, start)
         evaluation = with_wrenches(evaluation, wrenches, actual, state, *unknowns, drive, scale, ahead)
-        return self._step_end(evaluation, unknowns, state, auxiliary, drive, h, start)
-
-    def _closing_as_acceleration(self, evaluation: Evaluation, h) -> Evaluation:
-        """The evaluation with its closure error [m] as the acceleration [m/s^2] that removes it within the step."""
-        moving, (q_factor, _) = h > 0.0, self.factors(h)
-        unit = jnp.where(moving, q_factor, 1.0)
-        if evaluation.closure is not None and (sprung := evaluation.closure.sprung_rows):
-            unit = jnp.where(np.array(sprung), 1.0, unit)
-        by_step = evaluation.closing / unit
-        return evaluation._replace(closing=jnp.where(moving, by_step, evaluation.closing_acceleration))
-
-    def _newmark(self, h, trajectory: Trajectory, memory: Memory, accelerations: Coordinates, topology, drive):
-        """Newmark's formulas: (q1, v1) from v1', with the prescribed motion imposed, and a1."""
-        moving = h > 0.0
-
-        def auxiliary(new, old, a):  # a1 of theory (7.2); in a step of length zero a1 = v1'
-            mixed = (1.0 - self.alpha_f) * new + self.alpha_f * old - self.alpha_m * a
-            return jnp.where(moving, mixed / (1.0 - self.alpha_m), new)
-
-        a0 = memory.auxiliary
-        a1 = jax.tree.map(auxiliary, accelerations, memory.accelerations, a0)
-        # q1 and v1 of theory (7.1).
-        change = jax.tree.map(
-            lambda v, a, b: h * (v + h * ((0.5 - self.beta) * a + self.beta * b)), trajectory.velocity, a0, a1
-        )
-        position = moved(topology, trajectory.position, change)
-        velocity = jax.tree.map(
-            lambda v, a, b: v + h * ((1.0 - self.gamma) * a + self.gamma * b),
-            trajectory.velocity,
-            a0,
-            a1,
-        )
-        return impose(topology, State(position, velocity), drive), a1
-
-    def _step_end(self, evaluation: Evaluation, unknowns: Unknowns, state, auxiliary, drive, h, start) -> StepEnd:
-        """Trajectory and memory at the end: loads from the evaluation, integrals by the trapezoidal rule."""
-        conditions, trajectory, memory = start
-        actual, scale = conditions.actual, conditions.stabilisation.scale
-        accelerations, multipliers = unknowns
-        residual = jnp.max(jnp.abs(residual_forces(actual, evaluation, drive, scale)), initial=0.0)
-        residual = jax.lax.stop_gradient(residual)
-        evaluation = _with_least_reactions(actual, evaluation)
-        joint = loads.loads_of_wrenches(actual.topology, evaluation, evaluation.wrenches, drive)
-        axial, normal, moment = equations.squares(actual.topology, joint)
-        work = equations.applied_power(actual.topology, state, drive, joint, evaluation)
-        lost = losses(evaluation.laws), contact_losses(actual.topology, evaluation.frame_loads)
-        rates = Integrals(axial, normal, moment, work, evaluation.dissipated, *lost)
-        integrals = jax.tree.map(
-            lambda sum, old, new: sum + 0.5 * h * (old + new),
-            trajectory.integrals,
-            memory.rates,
-            rates,
-        )
-        most = jnp.maximum(memory.largest_residual, residual)
-        state = completed_state(actual, state)
-        return StepEnd(
-            Trajectory(state.position, state.velocity, integrals),
-            memory._replace(
-                accelerations=accelerations,
-                auxiliary=auxiliary,
-                multipliers=multipliers,
-                rates=rates,
-                residual=residual,
-                largest_residual=most,
-                begun=None if memory.begun is None else jnp.ones_like(memory.begun),
-            ),
-        )
-
-
-def _with_least_reactions(actual: ModelWithErrors, evaluation: Evaluation) -> Evaluation:
-    """The evaluation with the smallest redundant reactions; Newton's method leaves them as they were."""
-    evaluation, wrenches = loads.with_least_reactions(actual, evaluation, evaluation.wrenches)
-    return evaluation._replace(wrenches=wrenches)
-
-
-def _friction_delay(constants: StepConstants, start: StepStart) -> Float[Array, ""] | None:
-    """Time [s] by which friction is taken later, in steps of length zero but the first one, which tells the loads at
-    the start (theory (12.10)); None without friction."""
-    ahead, begun = start.conditions.ahead, start.memory.begun
-    if ahead is None or begun is None:
-        return None
-    return jnp.where(constants.length > 0.0, 0.0, begun * ahead)
+        return step_end(evaluation, unknowns, state, auxiliary, drive, h, start)
 
 
 def _renews(actual: ModelWithErrors) -> bool:
@@ -524,25 +403,6 @@ def _renews(actual: ModelWithErrors) -> bool:
     couplings = {} if actual.forces is None else actual.forces.couplings
     flanks = any(one.gap is not None for one in couplings.values())
     return actual.friction is not None or bool(actual.topology.clearances) or flanks
-
-
-def _remembering(start: StepStart) -> StepStart:
-    """The start of a step whose contacts remember how they began."""
-    conditions, trajectory, memory = start
-    actual = conditions.actual
-    if memory.contacts is None:
-        return start
-    motion = motion_of(actual, State(trajectory.position, trajectory.velocity))
-    contacts = contact_memory(actual, motion, memory.contacts)
-    conditions = dataclasses.replace(conditions, actual=with_memory(actual, contacts))
-    return StepStart(conditions, trajectory, memory._replace(contacts=contacts))
-
-
-def squared_moments(trajectory: Trajectory, memory: Memory, t: Scalar) -> Float[Array, ""]:
-    """Largest squared moment [N^2 m^2] of a joint in the last step, or its mean square so far: friction may be the only
-    load."""
-    mean = trajectory.integrals.moment_square / jnp.where(t > 0.0, t, 1.0)
-    return jnp.max(jnp.maximum(memory.rates.moment_square, mean))
 
 
 def _with_prescribed(topology: Topology, drive: DriveInput, accelerations: Coordinates) -> Coordinates:

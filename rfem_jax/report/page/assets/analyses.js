@@ -121,7 +121,7 @@ function modesPage(task) {
   const remark = (i) => (of(0, i).stable === false ? "unstable, or a free motion" : of(0, i).repeated ? "repeated" : "");
   const columns = [
     { label: "mode", value: (i) => i + 1 },
-    ...cases.map(([name], c) => ({ label: name, unit: "Hz", value: (i) => of(c, i).frequency })),
+    ...cases.map(([name, one], c) => ({ label: hasFailed(one) ? `${name}*` : name, unit: "Hz", value: (i) => of(c, i).frequency })),
     { label: "damping ratio", value: (i) => of(0, i).damping_ratio }, { label: "remark", value: remark },
   ];
   const errors = Object.keys(of(0, 0).derivatives || {});
@@ -134,6 +134,7 @@ function modesPage(task) {
   return [
     shapesSection(result, (i) => of(0, i).frequency),
     section("Natural frequencies", sortableTable("Natural frequencies about the assembled mechanism", columns, rows, { id: "frequencies" }),
+      failedNote(cases.map(([name, one]) => ({ name, status: one.status }))),
       errors.length ? sortableTable(`Derivatives of the frequencies of ${cases[0][0]}`, [columns[0], ...slopes], rows) : null),
   ];
 }
