@@ -110,9 +110,8 @@ class Arithmetic:
     def negative(self, a: Entry) -> Entry:
         if is_known(a):
             return -a
-        if a.kind == "d":
-            return self.builder.operation("d", f"fneg #d {a.name}")
-        return self._binary("fsub", "sub", DTYPES[a.kind].type(0), a)
+        # LLVM's fast selection knows no change of sign of vectors: minus zero less a number has the same bits.
+        return self._binary("fsub", "sub", DTYPES[a.kind].type(-0.0), a)
 
     def power(self, a: Entry, exponent: int) -> Entry:
         """A whole power, by squaring."""

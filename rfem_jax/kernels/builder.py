@@ -102,10 +102,17 @@ def is_known(entry: Entry) -> bool:
 class Builder:
     """A function `void (ptr workspace)` of one block of lanes, under construction.
 
-    Operations that were carried out already, with the same operands, are not repeated.
+    Operations that were carried out already, with the same operands, are not repeated.  Values have numbers in place of
+    names, of which LLVM keeps no table: it reads them in half the time.
+
+    **Arguments:** `immediate`: known numbers are written into the operations, in a short function that is called often;
+    else they are loaded from the stack, since LLVM's fast selection knows no vectors of numbers, and leaves all of a
+    block that is before one to a selection that takes three times as long.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, immediate: bool = False) -> None:
+        self.immediate = immediate
+        self.numbers: dict[str, str] = {}  # known ones, and where they are on the stack
         self.lines: list[str] = []
         self.block = "entry"
         self.operations = self.work = 0
@@ -135,9 +142,15 @@ class Builder:
 
     def scalar(self, text: str) -> str:
         """An operation whose result is not a vector, such as a loop's counter."""
-        name = f"%{self.fresh('s')}"
-        self.line(f"{name} = {text}")
+        self._names += 1
+        name = f"%{self._names}"
+        self.lines.append(f"{name} = {text}")
         return name
+
+    def beginning(self) -> list[str]:
+        """What the function begins with: known numbers are put on the stack."""
+        places = [f"{place} = alloca #d" for place in self.numbers.values()]
+        return places + [f"store #d {number}, ptr {place}" for number, place in self.numbers.items()]
 
     def operation(self, kind: str, text: str) -> Value:
         """The value of an operation of vectors that depends on its operands alone."""
@@ -162,7 +175,7 @@ class Builder:
             self.line(f"br i1 %never, label %nowhere, label %{label}")
             self.begin(label)
         self._names += 1
-        name = f"%v{self._names}"
+        name = f"%{self._names}"
         self.lines.append(f"{name} = {text}")
         return Value(name, kind)
 
@@ -171,7 +184,11 @@ class Builder:
         if isinstance(entry, Value):
             return entry.name
         if kind == "d":
-            return f"splat (double 0x{struct.pack('>d', float(entry)).hex().upper()})"
+            number = f"splat (double 0x{struct.pack('>d', float(entry)).hex().upper()})"
+            if self.immediate:
+                return number
+            place = self.numbers.setdefault(number, f"%number{len(self.numbers)}")
+            return self.operation("d", f"load #d, ptr {place}").name
         size = {"b": 1, "i": 32, "u": 32, "l": 64}[kind]
         number = "true" if kind == "b" and entry else "false" if kind == "b" else int(entry)
         return f"splat (i{size} {number})"

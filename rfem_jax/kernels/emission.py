@@ -30,6 +30,7 @@ from rfem_jax.kernels.entries import (
     whole,
 )
 from rfem_jax.kernels.long_arrays import each_in_a_loop, is_long, products_in_a_loop, reduced_in_a_loop
+from rfem_jax.kernels.memory import Array, Location, entries_in
 from rfem_jax.kernels.places import Places
 
 # Primitives whose operation on arrays is that on entries.
@@ -48,6 +49,9 @@ CALLS = frozenset(["jit", "pjit", "closed_call", "checkpoint", "remat", "remat2"
 SAME = frozenset(
     ["copy", "copy_p", "stop_gradient", "optimization_barrier", "name", "reduce_precision", "reshard", "pvary", "pcast"]
 )
+# Rules that hand their operands on to a jaxpr, and those that only move the entries of a single one.
+HANDED_ON = frozenset(["kernel", "custom_linear_solve", "while", "scan", "cond"])
+MOVED = frozenset(["broadcast_in_dim", "expand_dims", "reshape", "rev", "slice", "split", "squeeze", "transpose"])
 
 # Primitives of others, by functions of JAX's own primitives.
 _EXPANSIONS: dict[str, Callable] = {}
@@ -91,6 +95,11 @@ def called_program(settings: dict[str, Any]) -> ClosedJaxpr:
     return inner if is_program(inner) else ClosedJaxpr(inner, ())
 
 
+def _array(found: Any) -> Array:
+    """A result of a rule, of which NumPy makes a single entry."""
+    return found if isinstance(found, Location) else whole(found)
+
+
 def _rule_of(name: str) -> str:
     return f"_{name.replace('-', '_')}"
 
@@ -103,39 +112,42 @@ class Emitter(Places):
         self.arithmetic = Arithmetic(builder)
         self._expanding: set[str] = set()
 
-    def run(self, program: ClosedJaxpr, given: Sequence[Entries]) -> list[Entries]:
+    def run(self, program: ClosedJaxpr, given: Sequence[Array]) -> list[Array]:
         """Results of a jaxpr.
 
         **Raises:** `Unsupported` for an operation without machine code.
         """
         jaxpr = program.jaxpr
-        values = dict(zip(jaxpr.constvars, map(entries_of, program.consts), strict=True))
+        values: dict[Any, Array] = dict(zip(jaxpr.constvars, map(entries_of, program.consts), strict=True))
         values |= dict(zip(jaxpr.invars, given, strict=True))
 
-        def read(variable) -> Entries:
+        def read(variable) -> Array:
             return entries_of(variable.val) if isinstance(variable, Literal) else values[variable]
 
         for equation in needed(jaxpr):
             results = self.apply(equation, [read(variable) for variable in equation.invars])
-            values.update(zip(equation.outvars, map(whole, results)))
+            values.update(zip(equation.outvars, map(_array, results)))
         return [read(variable) for variable in jaxpr.outvars]
 
-    def apply(self, equation: JaxprEqn, parts: list[Entries]) -> Sequence[Entries]:
+    def apply(self, equation: JaxprEqn, parts: list[Array]) -> Sequence[Array]:
         """Results of one equation of a jaxpr."""
         name, settings = equation.primitive.name, equation.params
-        arithmetic = self.arithmetic
         if name in SIMPLE:
-            return [self._each(getattr(arithmetic, SIMPLE[name]), parts)]
+            return [self._each(getattr(self.arithmetic, SIMPLE[name]), [*map(entries_in, parts)])]
         if name in ELEMENTWISE:
-            return [self._each(lambda *x: self._function(name, *x), parts)]
+            return [self._each(lambda *x: self._function(name, *x), [*map(entries_in, parts)])]
         if name in SAME:
             return parts
         if name in CALLS:
             return self.run(called_program(settings), parts)
         special = getattr(self, _rule_of(name), None)
-        if special is not None:
+        if special is None:
+            return self._expanded(equation, parts)
+        if name in HANDED_ON:
             return special(equation, *parts)
-        return self._expanded(equation, parts)
+        if name in MOVED and isinstance(parts[0], Location):
+            return [parts[0].moved(slots) for slots in special(equation, parts[0].slots)]
+        return special(equation, *map(entries_in, parts))
 
     @classmethod
     def knows(cls, name: str) -> bool:
@@ -155,7 +167,7 @@ class Emitter(Places):
             return vector_math.FUNCTIONS[name](self.arithmetic, entries[0])
         return self.arithmetic.function(name, *entries)
 
-    def _expanded(self, equation: JaxprEqn, parts: list[Entries]) -> list[Entries]:
+    def _expanded(self, equation: JaxprEqn, parts: list[Array]) -> list[Array]:
         """By what a primitive was said to be made of, or by its implementation, where that is of other primitives."""
         name = equation.primitive.name
         if name in self._expanding:  # its implementation is itself

@@ -50,7 +50,7 @@ def each_in_a_loop(builder: Builder, function: Callable, parts: Sequence[Entries
     _nested(builder, shape, turn)
     if is_known(found[0]):
         return of_shape(found * math.prod(shape), shape)
-    return stored(builder, found[0].kind, first, shape)
+    return stored(builder, found[0].kind, first, shape).entries
 
 
 def reduced_in_a_loop(builder: Builder, function: Callable, nothing: Entry, values: Entries, axes: int) -> Entries:
@@ -69,7 +69,7 @@ def reduced_in_a_loop(builder: Builder, function: Callable, nothing: Entry, valu
         _nested(builder, gone, combine)
 
     _nested(builder, kept, turn)
-    return stored(builder, kind, first, kept)
+    return stored(builder, kind, first, kept).entries
 
 
 def products_in_a_loop(arithmetic: Arithmetic, a: Entries, b: Entries) -> Entries:
@@ -93,7 +93,7 @@ def products_in_a_loop(arithmetic: Arithmetic, a: Entries, b: Entries) -> Entrie
         _nested(builder, (terms,), add)
 
     _nested(builder, shape, turn)
-    return stored(builder, kind, first, shape)
+    return stored(builder, kind, first, shape).entries
 
 
 def _operand(builder: Builder, part: Entries, shape: Sequence[int]) -> At:

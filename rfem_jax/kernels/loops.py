@@ -19,7 +19,7 @@ from rfem_jax.kernels.arithmetic import Arithmetic
 from rfem_jax.kernels.builder import DTYPES, TURNS, Builder, Entry, Unsupported, Value, is_known, kind_of
 from rfem_jax.kernels.entries import Entries, each, of_shape, size_of, whole
 from rfem_jax.kernels.long_arrays import LONG, each_in_a_loop, is_long
-from rfem_jax.kernels.memory import columns_of, copy, row_of, stored
+from rfem_jax.kernels.memory import Array, Location, columns_of, copy, entries_in, row_at, row_of, stored
 
 LONGEST_UNROLLED = 64
 LARGEST_UNROLLED = 3000  # operations of all turns
@@ -34,7 +34,7 @@ class Emitter(Protocol):
     arithmetic: Arithmetic
     short: bool
 
-    def run(self, program: ClosedJaxpr, given: Sequence[Entries]) -> list[Entries]: ...
+    def run(self, program: ClosedJaxpr, given: Sequence[Array]) -> list[Array]: ...
 
 
 def counts_of_scan(settings) -> tuple[int, int]:
@@ -55,38 +55,41 @@ class Slots:
         self.sizes = [math.prod(shape) for shape in self.shapes]
         self.firsts = [self.builder.reserve(size * rows) for size in self.sizes]
 
-    def store(self, arrays: Sequence[Entries], row: str | None = None) -> None:
+    def store(self, arrays: Sequence[Array], row: str | None = None) -> None:
         """Into the first row, or into one that is computed."""
         for array, kind, first, size in zip(arrays, self.kinds, self.firsts, self.sizes, strict=True):
             copy(self.builder, array, kind, first, () if row is None else ((row, size),))
 
-    def load(self) -> list[Entries]:
+    def load(self) -> list[Array]:
         """The first row, which may be written again."""
         return [self._loaded(*of) for of in zip(self.kinds, self.firsts, self.sizes, self.shapes)]
 
-    def _loaded(self, kind: str, first: int, size: int, shape: Sequence[int]) -> Entries:
+    def _loaded(self, kind: str, first: int, size: int, shape: Sequence[int]) -> Array:
         if not self.short or size < LONG:
             return of_shape([self.builder.load(kind, first + i) for i in range(size)], shape)
         other = self.builder.reserve(size)
         copy(self.builder, stored(self.builder, kind, first, shape), kind, other)
         return stored(self.builder, kind, other, shape)
 
-    def finished(self) -> list[Entries]:
+    def finished(self) -> list[Array]:
         """All rows, which are written no more; without the axis of rows if there is one."""
         shapes = self.shapes if self.rows == 1 else [(self.rows, *shape) for shape in self.shapes]
         return [stored(self.builder, *of) for of in zip(self.kinds, self.firsts, shapes)]
 
 
-def _typed(arrays: Sequence[Entries], variables: Sequence) -> list[Entries]:
+def _typed(arrays: Sequence[Array], variables: Sequence) -> list[Array]:
     """Numbers among entries with the types of their variables."""
     found = []
     for array, variable in zip(arrays, variables, strict=True):
+        if isinstance(array, Location):
+            found.append(array)
+            continue
         as_type = DTYPES[kind_of(variable.aval.dtype)].type
         found.append(of_shape([as_type(x) if is_known(x) else x for x in array.flat], array.shape))
     return found
 
 
-def scan(emitter: Emitter, equation, parts: Sequence[Entries]) -> list[Entries]:
+def scan(emitter: Emitter, equation, parts: Sequence[Array]) -> list[Array]:
     settings = equation.params
     constants, carried = counts_of_scan(settings)
     fixed, carry, rows = parts[:constants], parts[constants : constants + carried], parts[constants + carried :]
@@ -99,7 +102,7 @@ def scan(emitter: Emitter, equation, parts: Sequence[Entries]) -> list[Entries]:
     return _turns(emitter, body, size, settings["length"], settings["reverse"], list(carry), rows, variables)
 
 
-def over_rows(emitter: Emitter, program: ClosedJaxpr, equation, parts: Sequence[Entries], batched: Sequence[bool]):
+def over_rows(emitter: Emitter, program: ClosedJaxpr, equation, parts: Sequence[Array], batched: Sequence[bool]):
     """Results of a jaxpr for every row of the operands that have an axis of them in front."""
     rows = [x for x, b in zip(parts, batched) if b]
     variables = [v for v, b in zip(equation.invars, batched) if b], [], equation.outvars
@@ -120,7 +123,7 @@ def _turns(
     carry: list,
     rows: Sequence,
     variables: tuple,
-) -> list[Entries]:
+) -> list[Array]:
     """What is carried, and the stacked results of the turns, of a loop over rows.
 
     **Arguments:** `body`: (carried, own rows) -> carried and results; `size`: its operations; `variables`: of rows, of
@@ -131,13 +134,13 @@ def _turns(
     if length <= 1 or (length <= LONGEST_UNROLLED and length * size <= LARGEST_UNROLLED):
         made = []
         for i in range(length)[::-1] if reverse else range(length):
-            results = body(carry, [whole(x[i]) for x in rows])
+            results = body(carry, [row_at(x, i) for x in rows])
             carry = results[:carried]
             made.append(results[carried:])
         made = made[::-1] if reverse else made
         if not made:
             return carry + [np.empty(v.aval.shape, object) for v in made_variables]
-        return carry + [np.stack([*column]) for column in zip(*made)]
+        return carry + [np.stack([*map(entries_in, column)]) for column in zip(*made)]
     around = Slots(emitter, carry_variables)
     written = Slots(emitter, made_variables, length, drop=1)
     around.store(_typed(carry, carry_variables))
@@ -153,11 +156,10 @@ def _turns(
         written.store(_typed(results[carried:], made_variables), at)
 
     builder.counted(length, turn)
-    made = [x.reshape(v.aval.shape) for x, v in zip(written.finished(), made_variables)]
-    return around.finished() + made
+    return around.finished() + written.finished()
 
 
-def repeat_while(emitter: Emitter, equation, parts: Sequence[Entries]) -> list[Entries]:
+def repeat_while(emitter: Emitter, equation, parts: Sequence[Array]) -> list[Array]:
     settings, variables, builder = equation.params, equation.outvars, emitter.builder
     first, second = settings["cond_nconsts"], settings["cond_nconsts"] + settings["body_nconsts"]
     of_condition, of_body, start = parts[:first], parts[first:second], parts[second:]
@@ -169,7 +171,7 @@ def repeat_while(emitter: Emitter, equation, parts: Sequence[Entries]) -> list[E
 
     def turn() -> None:
         carry = around.load()
-        conditions = emitter.run(settings["cond_jaxpr"], [*of_condition, *carry])[0]  # of a batch, several
+        conditions = entries_in(emitter.run(settings["cond_jaxpr"], [*of_condition, *carry])[0])  # of a batch, several
         goes_on: Entry = functools.reduce(emitter.arithmetic.either, conditions.flat)
         if is_known(goes_on):
             if goes_on:
@@ -188,18 +190,19 @@ def repeat_while(emitter: Emitter, equation, parts: Sequence[Entries]) -> list[E
     return around.finished()
 
 
-def _kept(emitter: Emitter, masks: Entries, new: Entries, old: Entries) -> Entries:
+def _kept(emitter: Emitter, masks: Entries, new: Array, old: Array) -> Entries:
     """What is new where a mask holds, which is one for all, or one for each entry of the first axes."""
+    new, old = entries_in(new), entries_in(old)
     masks, select = masks.reshape(masks.shape + (1,) * (new.ndim - masks.ndim)), emitter.arithmetic.select
     if emitter.short and is_long((masks, new, old), new.shape):
         return each_in_a_loop(emitter.builder, select, (masks, new, old), new.shape)
     return each(select, (np.broadcast_to(masks, new.shape), new, old))
 
 
-def branch(emitter: Emitter, equation, which: Entries, parts: Sequence[Entries]) -> list[Entries]:
+def branch(emitter: Emitter, equation, which: Array, parts: Sequence[Array]) -> list[Array]:
     branches, variables, builder = equation.params["branches"], equation.outvars, emitter.builder
     arithmetic = emitter.arithmetic
-    index: Entry = which[()]
+    index: Entry = entries_in(which)[()]
     if is_known(index):
         return emitter.run(branches[min(max(int(index), 0), len(branches) - 1)], parts)
     if index.kind != "b":
@@ -208,7 +211,7 @@ def branch(emitter: Emitter, equation, which: Entries, parts: Sequence[Entries])
     if sum(map(size_of, branches)) <= LARGEST_WITHOUT_BRANCH:
         results = [_typed(emitter.run(x, parts), variables) for x in branches]
         return [
-            of_shape([arithmetic.choose(index, list(cases)) for cases in zip(*(x.flat for x in column))], v.aval.shape)
+            each(lambda *cases: arithmetic.choose(index, list(cases)), [*map(entries_in, column)])
             for column, v in zip(zip(*results), variables)
         ]
     found = Slots(emitter, variables)

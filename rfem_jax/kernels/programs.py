@@ -72,5 +72,11 @@ def emit(program: ClosedJaxpr, short: bool = False) -> Program:
     tables = [f"{name} = {text}" for text, name in builder.tables.items()]
     declarations = "\n".join([*tables, *sorted(builder.intrinsics.values()), *functions])
     return Program(
-        "\n".join(builder.lines), declarations, operands, results, builder.slots, builder.operations, builder.work
+        "\n".join([*builder.beginning(), *builder.lines]),
+        declarations,
+        operands,
+        results,
+        builder.slots,
+        builder.operations,
+        builder.work,
     )

@@ -96,7 +96,7 @@ def _call(arithmetic: Arithmetic, name: str, define: Callable, x: Value) -> tupl
     """Results of a function of a vector, which is defined once in a module."""
     builder = arithmetic.builder
     if name not in builder.functions:
-        inner = Builder()
+        inner = Builder(immediate=True)
         results = define(Arithmetic(inner), Value("%x", "d"))
         builder.intrinsics |= inner.intrinsics
         types = ", ".join(["#d"] * len(results))
