@@ -23,7 +23,7 @@ block after every few hundred operations.
 import re
 import struct
 from collections.abc import Callable, Hashable
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -45,6 +45,21 @@ class Value:
 
     def __init__(self, name: str, kind: str) -> None:
         self.name, self.kind = name, kind
+
+
+class Product(Value):
+    """A product of doubles, whose factors a fused sum takes in its place; alone: whether anything else reads it."""
+
+    __slots__ = ("alone", "factors", "line", "register", "turns")
+
+    def __init__(self, register: str, factors: tuple[str, str], line: int, turns: int) -> None:
+        self.register, self.kind, self.factors, self.line, self.turns = register, "d", factors, line, turns
+        self.alone = False
+
+    @property
+    def name(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride] # noted when it is read
+        self.alone = True
+        return self.register
 
 
 Rows = tuple[tuple[str, int], ...]  # numbers of rows (scalars), and how many slots such a row has
@@ -102,10 +117,12 @@ def is_known(entry: Entry) -> bool:
 class Builder:
     """A function `void (ptr workspace)` of one block of lanes, under construction.
 
-    Operations that were carried out already, with the same operands, are not repeated.
+    Operations that were carried out already, with the same operands, are not repeated.  `fuses`: sums of products are
+    rounded once, wherever one is written, by whatever number of lanes.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, fuses: bool = False) -> None:
+        self.fuses = fuses
         self.lines: list[str] = []
         self.block = "entry"
         self.operations = self.work = 0
@@ -115,6 +132,7 @@ class Builder:
         self.functions: dict[str, tuple[int, str]] = {}  # how many results, and text
         self._known: dict[Hashable, Value] = {}  # values of operations, and of slots that are written no more
         self._scopes: list[list[Hashable]] = [[]]  # which of these every scope has found
+        self._products: list[Product] = []
         self._names = 0
         self._in_block = 0
         self._turns = 1
@@ -143,6 +161,36 @@ class Builder:
         """The value of an operation of vectors that depends on its operands alone."""
         found = self._known.get(text)
         return self._noted(text, self._fresh_value(kind, text)) if found is None else found
+
+    def product(self, left: str, right: str) -> Value:
+        """The product of two operands, doubles."""
+        text = f"fmul #d {left}, {right}"
+        if not self.fuses:
+            return self.operation("d", text)
+        found = self._known.get(text)
+        if found is None:
+            register = self._fresh_value("d", text).name
+            found = self._noted(text, Product(register, (left, right), len(self.lines) - 1, self._turns))
+            self._products.append(cast(Product, found))
+        return found
+
+    def fused(self, factors: tuple[str, str], term: str) -> Value:
+        """The product of two factors plus a term, rounded once."""
+        name = "@llvm.fma.#vf64"
+        self.intrinsics[name] = f"declare #d {name}(#d, #d, #d)"
+        return self.operation("d", f"call #d {name}(#d {factors[0]}, #d {factors[1]}, #d {term})")
+
+    def negated(self, operand: str) -> str:
+        """The negative of an operand, a double."""
+        return self.operation("d", f"fneg #d {operand}").name
+
+    def finish(self) -> None:
+        """Leave out the products that only fused sums have taken."""
+        for product in self._products:
+            if not product.alone:
+                self.lines[product.line] = ""
+                self.operations -= 1
+                self.work -= product.turns
 
     def _noted(self, key: Hashable, value: Value) -> Value:
         """The value, which is found again until the scope ends."""
