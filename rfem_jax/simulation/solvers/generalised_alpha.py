@@ -184,7 +184,9 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         if self.follows(actual):
             following = Following(jnp.zeros(()), jnp.zeros((), bool), jnp.zeros(()))
         begun = None if actual.friction is None else jnp.zeros(())
-        return Memory(zeros, zeros, multipliers, rates, jnp.zeros(()), jnp.zeros(()), contacts, following, begun)
+        earlier = None if _renews(actual) else zeros.joints  # forces that jump are no trend
+        none = jnp.zeros(())
+        return Memory(zeros, zeros, multipliers, rates, none, none, contacts, following, begun, earlier)
 
     def follows(self, actual: ModelWithErrors) -> bool:
         """Whether the steps of a mechanism are parts that follow contacts."""
@@ -262,7 +264,12 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         present = memory.accelerations
         velocity = jax.tree.map(impulse, trajectory.velocity, memory.auxiliary, present)
         auxiliary = jax.tree.map(lambda a, b: jnp.where(unlike, b, a), memory.auxiliary, present)
-        return dataclasses.replace(trajectory, velocity=velocity), memory._replace(auxiliary=auxiliary)
+        earlier = memory.earlier
+        if earlier is not None:
+            share = jnp.where(unlike, 0.0, h / jnp.where(unlike, 1.0, before))
+            earlier = present.joints - share * (present.joints - earlier)
+        memory = memory._replace(auxiliary=auxiliary, earlier=earlier)
+        return dataclasses.replace(trajectory, velocity=velocity), memory
 
     def factors(self, h: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
         """Derivatives of q1 [s^2] and v1 [s] with respect to v1' for a step of length h [s]."""
@@ -388,7 +395,8 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         return iteration_matrix(actual, operators, motion, cuts, conditions.drives.prescribed, tangents)
 
     def predict(self, constants: StepConstants, start: StepStart) -> Unknowns:
-        """Accelerations and multipliers of the last step as a first guess.
+        """Accelerations and multipliers of the last step as a first guess; those of the joints' coordinates change by
+        as much as in the last step (theory, before (7.6)).
 
         Geometrically exact links keep their shape instead: their matrix is formed at the prediction, and
         accelerations of stiff vibrations, carried on over a long step, would bend them far.
@@ -406,6 +414,9 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
             mixed = (1.0 - self.alpha_m) * a1 + self.alpha_m * a0 - self.alpha_f * old
             elastic = jnp.where(moving, mixed / (1.0 - self.alpha_f), old)
             accelerations = Coordinates(accelerations.joints, elastic)
+        if memory.earlier is not None:
+            joints = jnp.where(h > 0.0, 2.0 * accelerations.joints - memory.earlier, accelerations.joints)
+            accelerations = Coordinates(joints, accelerations.elastic)
         return Unknowns(_with_prescribed(topology, drive, accelerations), memory.multipliers)
 
     def evaluate(self, unknowns: Unknowns, constants: StepConstants, start: StepStart) -> tuple[Evaluation, StepEnd]:
@@ -489,6 +500,9 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
             rates,
         )
         most = jnp.maximum(memory.largest_residual, residual)
+        earlier = memory.earlier
+        if earlier is not None:  # after a step of length zero, as at a start, there is none
+            earlier = jnp.where(h > 0.0, memory.accelerations.joints, accelerations.joints)
         state = completed_state(actual, state)
         return StepEnd(
             Trajectory(state.position, state.velocity, integrals),
@@ -500,6 +514,7 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
                 residual=residual,
                 largest_residual=most,
                 begun=None if memory.begun is None else jnp.ones_like(memory.begun),
+                earlier=earlier,
             ),
         )
 
