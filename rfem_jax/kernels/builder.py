@@ -29,6 +29,7 @@ import numpy as np
 
 OPERATIONS_OF_A_BLOCK = 300
 MOST_OPERATIONS = 2_000_000  # of a program: LLVM takes 20 us for each, and some kB of memory; XLA far more
+FUSED_FROM = 64  # turns: with fewer, the fast selection takes longer for fused sums than these save
 TURNS = 8  # of a loop, where it is not known how many there will be
 ALTERNATIVES = re.compile(r"#\[(.*?)\|(.*?)\]")
 MARKS = re.compile(r"#(?:\((-?\d+)\)|lanes|[dbiulpv])")
@@ -117,8 +118,8 @@ def is_known(entry: Entry) -> bool:
 class Builder:
     """A function `void (ptr workspace)` of one block of lanes, under construction.
 
-    Operations that were carried out already, with the same operands, are not repeated.  `fuses`: sums of products are
-    rounded once, wherever one is written, by whatever number of lanes.
+    Operations that were carried out already, with the same operands, are not repeated.  `fuses`: sums of products in
+    long loops are rounded once, wherever one is written, by whatever number of lanes.
     """
 
     def __init__(self, fuses: bool = False) -> None:
@@ -165,7 +166,7 @@ class Builder:
     def product(self, left: str, right: str) -> Value:
         """The product of two operands, doubles."""
         text = f"fmul #d {left}, {right}"
-        if not self.fuses:
+        if not self.fuses or self._turns < FUSED_FROM:
             return self.operation("d", text)
         found = self._known.get(text)
         if found is None:

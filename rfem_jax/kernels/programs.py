@@ -54,7 +54,6 @@ def emit(program: ClosedJaxpr, short: bool = False) -> Program:
 
     **Raises:** `Unsupported` for an operation, or a type of numbers, without machine code.
     """
-    # Of a program whose code is hardly run twice, the fast selection would take longer for fused sums.
     builder = Builder(fuses=machine_code.fuses() and not short)
     emitter = Emitter(builder, short)
 

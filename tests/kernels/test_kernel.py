@@ -234,9 +234,14 @@ def test_thorough_and_fast_compilation_give_the_same_bits():
 
 def sums_of_products(x, y):
     """Sums with a product; a product less another; and one that is read once more."""
-    product = x * y
-    again = jnp.sin(x) * y
-    return product - 1.0, 1.0 - product, product + x * x, x * y - y * x, again + 1.0, again
+
+    def turn(i, found):
+        factor = x + 0.0 * found[0]  # computed in every turn
+        product = factor * y
+        again = jnp.sin(factor) * y
+        return product - 1.0, 1.0 - product, product + factor * x, product - y * factor, again + 1.0, again
+
+    return jax.lax.fori_loop(0, 100, turn, (jnp.zeros(jnp.shape(x)),) * 6)
 
 
 @pytest.mark.parametrize("selection", ["fast", "thorough"])
@@ -259,19 +264,23 @@ def test_a_product_and_a_term_are_rounded_once(selection):
 @pytest.mark.parametrize("fuses", [False, True])
 def test_products_that_are_read_are_computed(fuses):
     """Six products, of which three are in sums alone, one is read besides, and two are the two of a difference."""
-    build = Builder(fuses)
+    build, turns = Builder(fuses), 100
     arithmetic, x, y, z = Arithmetic(build), *(Value(f"%{name}", "d") for name in "xyz")
-    arithmetic.add(arithmetic.multiply(x, x), z)
-    arithmetic.subtract(z, arithmetic.multiply(x, z))
-    arithmetic.subtract(arithmetic.multiply(y, y), np.float64(1.0))
-    read = arithmetic.multiply(x, y)
-    arithmetic.add(z, read)
-    arithmetic.divide(read, z)
-    arithmetic.subtract(arithmetic.multiply(y, z), arithmetic.multiply(z, z))
+
+    def turn():
+        arithmetic.add(arithmetic.multiply(x, x), z)
+        arithmetic.subtract(z, arithmetic.multiply(x, z))
+        arithmetic.subtract(arithmetic.multiply(y, y), np.float64(1.0))
+        read = arithmetic.multiply(x, y)
+        arithmetic.add(z, read)
+        arithmetic.divide(read, z)
+        arithmetic.subtract(arithmetic.multiply(y, z), arithmetic.multiply(z, z))
+
+    build.inside(turn, turns)
     build.finish()
     text = "\n".join(build.lines)
     assert text.count("fmul") == (3 if fuses else 6) and text.count("@llvm.fma") == (4 if fuses else 0)
-    assert build.operations == (3 + 4 + 1 + 1 + 1 if fuses else 6 + 4 + 1 + 1) == build.work
+    assert build.operations == (3 + 4 + 1 + 1 + 1 if fuses else 6 + 4 + 1 + 1) == build.work / turns
 
 
 BITS = """
