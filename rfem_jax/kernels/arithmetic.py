@@ -3,8 +3,9 @@
 Place in the pipeline: builder -> **arithmetic** -> emission.
 
 Products with entries that are known to be zero are zero, also where the other factor is not finite; sums of one term
-are that term.  Everything else is carried out in the order in which it was written and rounded as IEEE 754 has it: no
-operation is contracted or exchanged, so that a sample has the same bits whatever the number of lanes.
+are that term.  Everything else is carried out in the order in which it was written and rounded as IEEE 754 has it (sums
+of products once, where the builder fuses them): LLVM contracts and exchanges nothing, so that a sample has the same
+bits whatever the number of lanes.
 """
 
 import functools
@@ -12,7 +13,7 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from rfem_jax.kernels.builder import DTYPES, Builder, Entry, Unsupported, Value, is_known, kind_of
+from rfem_jax.kernels.builder import DTYPES, Builder, Entry, Product, Unsupported, Value, is_known, kind_of
 
 ZERO, ONE = np.float64(0.0), np.float64(1.0)
 COMPARED = {"lt": "lt", "le": "le", "gt": "gt", "ge": "ge", "eq": "eq", "ne": "ne"}
@@ -73,6 +74,9 @@ class Arithmetic:
             return a + b
         elif a == 0:
             return b
+        for one, other in ((b, a), (a, b)):
+            if isinstance(one, Product):
+                return self.builder.fused(one.factors, self.builder.operand(other, "d"))
         return self._binary("fadd", "add", a, b)
 
     def subtract(self, a: Entry, b: Entry) -> Entry:
@@ -83,7 +87,18 @@ class Arithmetic:
             return a - b
         elif a == 0:
             return self.negative(b)
+        # The difference of two products stays what it is: a b - b a is zero.
+        if isinstance(a, Product) != isinstance(b, Product):
+            return self._fused_difference(a, b)
         return self._binary("fsub", "sub", a, b)
+
+    def _fused_difference(self, a: Entry, b: Entry) -> Value:
+        build = self.builder
+        if isinstance(a, Product):
+            minus = build.operand(-b, "d") if is_known(b) else build.negated(b.name)
+            return build.fused(a.factors, minus)
+        left, right = b.factors
+        return build.fused((build.negated(left), right), build.operand(a, "d"))
 
     def multiply(self, a: Entry, b: Entry) -> Entry:
         if not isinstance(b, Value):
@@ -97,6 +112,8 @@ class Arithmetic:
                 return b
             if a == -1:
                 return self.negative(b)
+        if b.kind == "d":
+            return self.builder.product(a.name if isinstance(a, Value) else self.builder.operand(a, "d"), b.name)
         return self._binary("fmul", "mul", a, b)
 
     def divide(self, a: Entry, b: Entry) -> Entry:

@@ -23,12 +23,13 @@ block after every few hundred operations.
 import re
 import struct
 from collections.abc import Callable, Hashable
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 OPERATIONS_OF_A_BLOCK = 300
 MOST_OPERATIONS = 2_000_000  # of a program: LLVM takes 20 us for each, and some kB of memory; XLA far more
+FUSED_FROM = 64  # turns: with fewer, the fast selection takes longer for fused sums than these save
 TURNS = 8  # of a loop, where it is not known how many there will be
 ALTERNATIVES = re.compile(r"#\[(.*?)\|(.*?)\]")
 MARKS = re.compile(r"#(?:\((-?\d+)\)|lanes|[dbiulpv])")
@@ -45,6 +46,21 @@ class Value:
 
     def __init__(self, name: str, kind: str) -> None:
         self.name, self.kind = name, kind
+
+
+class Product(Value):
+    """A product of doubles, whose factors a fused sum takes in its place; alone: whether anything else reads it."""
+
+    __slots__ = ("alone", "factors", "line", "register", "turns")
+
+    def __init__(self, register: str, factors: tuple[str, str], line: int, turns: int) -> None:
+        self.register, self.kind, self.factors, self.line, self.turns = register, "d", factors, line, turns
+        self.alone = False
+
+    @property
+    def name(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride] # noted when it is read
+        self.alone = True
+        return self.register
 
 
 Rows = tuple[tuple[str, int], ...]  # numbers of rows (scalars), and how many slots such a row has
@@ -107,11 +123,12 @@ class Builder:
 
     **Arguments:** `immediate`: known numbers are written into the operations, in a short function that is called often;
     else they are loaded from the stack, since LLVM's fast selection knows no vectors of numbers, and leaves all of a
-    block that is before one to a selection that takes three times as long.
+    block that is before one to a selection that takes three times as long; `fuses`: sums of products in long loops are
+    rounded once, wherever one is written, by whatever number of lanes.
     """
 
-    def __init__(self, immediate: bool = False) -> None:
-        self.immediate = immediate
+    def __init__(self, immediate: bool = False, fuses: bool = False) -> None:
+        self.immediate, self.fuses = immediate, fuses
         self.numbers: dict[str, str] = {}  # known ones, and where they are on the stack
         self.lines: list[str] = []
         self.block = "entry"
@@ -122,6 +139,7 @@ class Builder:
         self.functions: dict[str, tuple[int, str]] = {}  # how many results, and text
         self._known: dict[Hashable, Value] = {}  # values of operations, and of slots that are written no more
         self._scopes: list[list[Hashable]] = [[]]  # which of these every scope has found
+        self._products: list[Product] = []
         self._names = 0
         self._in_block = 0
         self._turns = 1
@@ -156,6 +174,36 @@ class Builder:
         """The value of an operation of vectors that depends on its operands alone."""
         found = self._known.get(text)
         return self._noted(text, self._fresh_value(kind, text)) if found is None else found
+
+    def product(self, left: str, right: str) -> Value:
+        """The product of two operands, doubles."""
+        text = f"fmul #d {left}, {right}"
+        if not self.fuses or self._turns < FUSED_FROM:
+            return self.operation("d", text)
+        found = self._known.get(text)
+        if found is None:
+            register = self._fresh_value("d", text).name
+            found = self._noted(text, Product(register, (left, right), len(self.lines) - 1, self._turns))
+            self._products.append(cast(Product, found))
+        return found
+
+    def fused(self, factors: tuple[str, str], term: str) -> Value:
+        """The product of two factors plus a term, rounded once."""
+        name = "@llvm.fma.#vf64"
+        self.intrinsics[name] = f"declare #d {name}(#d, #d, #d)"
+        return self.operation("d", f"call #d {name}(#d {factors[0]}, #d {factors[1]}, #d {term})")
+
+    def negated(self, operand: str) -> str:
+        """The negative of an operand, a double."""
+        return self.operation("d", f"fneg #d {operand}").name
+
+    def finish(self) -> None:
+        """Leave out the products that only fused sums have taken."""
+        for product in self._products:
+            if not product.alone:
+                self.lines[product.line] = ""
+                self.operations -= 1
+                self.work -= product.turns
 
     def _noted(self, key: Hashable, value: Value) -> Value:
         """The value, which is found again until the scope ends."""

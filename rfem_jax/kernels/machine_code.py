@@ -5,6 +5,7 @@ Place in the pipeline: programs -> **machine_code** -> registry.
 
 import ctypes
 import ctypes.util
+import platform
 import sys
 from functools import cache
 from typing import Any
@@ -27,7 +28,7 @@ def is_available() -> bool:
 def leave_out_features(*beginnings: str) -> None:
     """Compile for a processor without the features whose names begin so ("avx512"), to compare; before all kernels."""
     _LEFT_OUT[:] = beginnings
-    for function in (_features, _target_machine, processor):
+    for function in (_features, _target_machine, processor, fuses):
         function.cache_clear()
 
 
@@ -71,6 +72,12 @@ def processor() -> str:
 def vector_width() -> int:
     """Doubles in a register of this processor."""
     return 8 if _features().get("avx512f") else 4 if _features().get("avx2") or _features().get("avx") else 2
+
+
+@cache
+def fuses() -> bool:
+    """Whether this processor has an instruction for a product plus a term, rounded once; without it that takes long."""
+    return bool(_features().get("fma")) or platform.machine().lower() in ("aarch64", "arm64")
 
 
 @cache

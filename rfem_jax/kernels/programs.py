@@ -54,7 +54,7 @@ def emit(program: ClosedJaxpr, short: bool = False) -> Program:
 
     **Raises:** `Unsupported` for an operation, or a type of numbers, without machine code.
     """
-    builder = Builder()
+    builder = Builder(fuses=machine_code.fuses() and not short)
     emitter = Emitter(builder, short)
 
     def operand(variable) -> Buffer:
@@ -69,6 +69,7 @@ def emit(program: ClosedJaxpr, short: bool = False) -> Program:
     given = [stored(builder, b.kind, b.slot, v.aval.shape) for b, v in zip(operands, program.jaxpr.invars)]
     results = [*map(result, program.jaxpr.outvars, emitter.run(program, given))]
     functions = [text for _, text in builder.functions.values()]
+    builder.finish()
     tables = [f"{name} = {text}" for text, name in builder.tables.items()]
     declarations = "\n".join([*tables, *sorted(builder.intrinsics.values()), *functions])
     return Program(

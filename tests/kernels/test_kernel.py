@@ -1,6 +1,7 @@
 """Kernels beside the functions that they are of: values, batches, derivatives."""
 
 import warnings
+from fractions import Fraction
 
 import jax
 import jax.numpy as jnp
@@ -8,6 +9,8 @@ import numpy as np
 import pytest
 
 from rfem_jax.kernels import expand_primitive, expecting, is_available, kernel, machine_code, programs, registry
+from rfem_jax.kernels.arithmetic import Arithmetic
+from rfem_jax.kernels.builder import Builder, Value
 from tests.processes import in_a_new_process
 
 pytestmark = pytest.mark.skipif(not is_available(), reason="llvmlite is not installed")
@@ -227,6 +230,57 @@ def test_thorough_and_fast_compilation_give_the_same_bits():
     thorough, quick = kernel(integrated)(*arguments), kernel(integrated, selection="fast")(*arguments)
     for a, b in zip(jax.tree.leaves(thorough), jax.tree.leaves(quick)):
         np.testing.assert_array_equal(a, b)
+
+
+def sums_of_products(x, y):
+    """Sums with a product; a product less another; and one that is read once more."""
+
+    def turn(i, found):
+        factor = x + 0.0 * found[0]  # computed in every turn
+        product = factor * y
+        again = jnp.sin(factor) * y
+        return product - 1.0, 1.0 - product, product + factor * x, product - y * factor, again + 1.0, again
+
+    return jax.lax.fori_loop(0, 100, turn, (jnp.zeros(jnp.shape(x)),) * 6)
+
+
+@pytest.mark.parametrize("selection", ["fast", "thorough"])
+def test_a_product_and_a_term_are_rounded_once(selection):
+    """x y = 1 - 2^-60, which is 1 where it is rounded before one is taken away."""
+    x, y = 1.0 + 2.0**-30, 1.0 - 2.0**-30
+    made = jax.jit(kernel(sums_of_products, selection=selection))
+    less, more, squares, nothing, *_ = map(float, made(x, y))
+    once = machine_code.fuses()
+    assert (less, more) == ((-(2.0**-60), 2.0**-60) if once else (0.0, 0.0))
+    assert squares == float(Fraction(x) ** 2 + 1) and nothing == 0.0
+    xs, ys = jnp.linspace(0.3, 1.7, 11), jnp.linspace(1.3, -0.7, 11)
+    batch = jax.jit(jax.vmap(kernel(sums_of_products, selection=selection)))(xs, ys)
+    for i in range(11):
+        for one, all_ in zip(made(xs[i], ys[i]), batch, strict=True):
+            assert one == all_[i]
+    assert_same(batch, sums_of_products(xs, ys), rtol=1e-14)
+
+
+@pytest.mark.parametrize("fuses", [False, True])
+def test_products_that_are_read_are_computed(fuses):
+    """Six products, of which three are in sums alone, one is read besides, and two are the two of a difference."""
+    build, turns = Builder(fuses), 100
+    arithmetic, x, y, z = Arithmetic(build), *(Value(f"%{name}", "d") for name in "xyz")
+
+    def turn():
+        arithmetic.add(arithmetic.multiply(x, x), z)
+        arithmetic.subtract(z, arithmetic.multiply(x, z))
+        arithmetic.subtract(arithmetic.multiply(y, y), np.float64(1.0))
+        read = arithmetic.multiply(x, y)
+        arithmetic.add(z, read)
+        arithmetic.divide(read, z)
+        arithmetic.subtract(arithmetic.multiply(y, z), arithmetic.multiply(z, z))
+
+    build.inside(turn, turns)
+    build.finish()
+    text = "\n".join(build.lines)
+    assert text.count("fmul") == (3 if fuses else 6) and text.count("@llvm.fma") == (4 if fuses else 0)
+    assert build.operations == (3 + 4 + 1 + 1 + 1 if fuses else 6 + 4 + 1 + 1) == build.work / turns
 
 
 BITS = """

@@ -26,8 +26,15 @@ from rfem_jax import (
     load_study,
     simulate,
 )
+from rfem_jax.mechanics.model.model import Coordinates, State
+from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.simulation import integration
 from rfem_jax.simulation.accuracy import estimate_change, loads_of_trials
+from rfem_jax.simulation.driving import active_drives
+from rfem_jax.simulation.equations import Conditions, start_trajectory
+from rfem_jax.simulation.solvers.generalised_alpha import GeneralisedAlphaSolver
+from rfem_jax.simulation.solvers.implicit_step import StepConstants, StepStart
+from rfem_jax.simulation.stabilisation import stabilisation_of
 from rfem_jax.simulation.stepping import Integration
 from rfem_jax.simulation.time_grid import divide_time
 from rfem_jax.validation.reference_values import read_reference
@@ -129,6 +136,42 @@ def test_newton_s_method_stops_at_the_tolerance(small):
         assert 1e-4 * tolerance < run.checks.solution_residual <= tolerance
         loads[tolerance] = rms(small.model, run)
     np.testing.assert_allclose(loads[1e-2], loads[1e-8], rtol=0.05)
+
+
+@pytest.mark.slow
+def test_the_first_guess_follows_the_motion(small):
+    """What one increment leaves falls with the third power of the step, with the second one if accelerations of joints
+    are first taken as they were."""
+    drive, residuals = MomentRamp("A", 1.5, 0.1), []
+    for h in (2e-3, 1e-3):
+        method = GeneralisedAlpha(step=h, corrections=1, tolerance=1e-2)
+        run = simulate(
+            Simulation(small.model, drive=drive, duration=0.1, method=method, save_every=1e-2),
+            assembly_errors(small.model, {"D.delta_x": 5e-3}),
+        )
+        assert int(run.status) == 0
+        residuals.append(float(run.checks.solution_residual))
+    assert residuals[0] / residuals[1] == pytest.approx(8.0, abs=1.5)
+
+
+@pytest.mark.parametrize(("length", "share"), [(1e-3, 1.0), (5e-4, 0.5), (2e-3, 2.0), (3e-3, 0.0), (0.0, 0.0)])
+def test_the_first_guess_after_a_step_of_another_length(small, length, share):
+    """Joint accelerations change in proportion to the lengths; none where these are unlike, nor in one of length
+    zero."""
+    model, solver = small.model, GeneralisedAlphaSolver(GeneralisedAlpha(step=1e-3))
+    actual, velocity = apply_errors(model, assembly_errors(model)), model.start_coordinates()
+    trajectory = start_trajectory(model, State(velocity, velocity))
+    conditions = Conditions(
+        actual, active_drives(model, small.drive), jnp.asarray(0), stabilisation_of(model, GeneralisedAlpha(step=1e-3))
+    )
+    now, before = jnp.array([5.0, -2.0, 1.0]), jnp.array([4.0, 2.0, 0.5])
+    memory = solver.start(conditions, trajectory)
+    present = Coordinates(now, memory.accelerations.elastic)
+    memory = memory._replace(accelerations=present, auxiliary=present, earlier=before)
+    h = jnp.asarray(length)
+    trajectory, memory = solver.at_new_length(trajectory, memory, jnp.asarray(1e-3), h)
+    guess = solver.predict(StepConstants(h, h, jnp.zeros(())), StepStart(conditions, trajectory, memory))
+    np.testing.assert_allclose(guess.accelerations.joints, now + share * (now - before), rtol=1e-14)
 
 
 @pytest.mark.slow

@@ -174,7 +174,9 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         if self.follows(actual):
             following = Following(jnp.zeros(()), jnp.zeros((), bool), jnp.zeros(()))
         begun = None if actual.friction is None else jnp.zeros(())
-        return Memory(zeros, zeros, multipliers, rates, jnp.zeros(()), jnp.zeros(()), contacts, following, begun)
+        earlier = None if _renews(actual) else zeros.joints  # forces that jump are no trend
+        none = jnp.zeros(())
+        return Memory(zeros, zeros, multipliers, rates, none, none, contacts, following, begun, earlier)
 
     def follows(self, actual: ModelWithErrors) -> bool:
         """Whether the steps of a mechanism are parts that follow contacts."""
@@ -353,7 +355,8 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         return iteration_matrix(actual, operators, motion, cuts, conditions.drives.prescribed, tangents)
 
     def predict(self, constants: StepConstants, start: StepStart) -> Unknowns:
-        """Accelerations and multipliers of the last step as a first guess.
+        """Accelerations and multipliers of the last step as a first guess; those of the joints' coordinates change by
+        as much as in the last step (theory, before (7.6)).
 
         Geometrically exact links keep their shape instead: their matrix is formed at the prediction, and
         accelerations of stiff vibrations, carried on over a long step, would bend them far.
@@ -365,6 +368,9 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         if topology.exact:
             elastic = self.formulas.keeping_shape(h, trajectory.velocity.elastic, memory)
             accelerations = Coordinates(accelerations.joints, elastic)
+        if memory.earlier is not None:
+            joints = jnp.where(h > 0.0, 2.0 * accelerations.joints - memory.earlier, accelerations.joints)
+            accelerations = Coordinates(joints, accelerations.elastic)
         return Unknowns(_with_prescribed(topology, drive, accelerations), memory.multipliers)
 
     def evaluate(self, unknowns: Unknowns, constants: StepConstants, start: StepStart) -> tuple[Evaluation, StepEnd]:

@@ -58,7 +58,8 @@ class Memory(NamedTuple):
     derivatives of the integrals; residual [N]: largest force that the residual of the last step has, and
     largest_residual [N] that of all steps so far; contacts: with restitution, what they remembered in the last step
     (theory (15.6)), None without any; following: how steps have followed contacts, None where they do not; begun: with
-    friction, 1 after a step, 0 before.
+    friction, 1 after a step, 0 before; earlier: accelerations of the joints' coordinates a step before, None where the
+    first guess does not go on from them.
     """
 
     accelerations: Coordinates
@@ -70,6 +71,7 @@ class Memory(NamedTuple):
     contacts: dict[str, ContactMemory] | None = None
     following: Following | None = None
     begun: Float[Array, ""] | None = None
+    earlier: Float[Array, " freedoms"] | None = None
 
 
 class StepStart(NamedTuple):

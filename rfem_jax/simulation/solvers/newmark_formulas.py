@@ -70,7 +70,12 @@ class NewmarkFormulas(NamedTuple):
         present = memory.accelerations
         velocity = jax.tree.map(impulse, trajectory.velocity, memory.auxiliary, present)
         auxiliary = jax.tree.map(lambda a, b: jnp.where(unlike, b, a), memory.auxiliary, present)
-        return dataclasses.replace(trajectory, velocity=velocity), memory._replace(auxiliary=auxiliary)
+        earlier = memory.earlier
+        if earlier is not None:
+            share = jnp.where(unlike, 0.0, h / jnp.where(unlike, 1.0, before))
+            earlier = present.joints - share * (present.joints - earlier)
+        memory = memory._replace(auxiliary=auxiliary, earlier=earlier)
+        return dataclasses.replace(trajectory, velocity=velocity), memory
 
     def end_of_step(
         self,

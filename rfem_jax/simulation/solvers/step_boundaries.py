@@ -53,6 +53,9 @@ def step_end(
         rates,
     )
     most = jnp.maximum(memory.largest_residual, residual)
+    earlier = memory.earlier
+    if earlier is not None:  # after a step of length zero, as at a start, there is none
+        earlier = jnp.where(h > 0.0, memory.accelerations.joints, accelerations.joints)
     state = completed_state(actual, state)
     return StepEnd(
         Trajectory(state.position, state.velocity, integrals),
@@ -64,6 +67,7 @@ def step_end(
             residual=residual,
             largest_residual=most,
             begun=None if memory.begun is None else jnp.ones_like(memory.begun),
+            earlier=earlier,
         ),
     )
 
