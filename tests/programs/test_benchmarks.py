@@ -107,7 +107,7 @@ def test_automatic_steps(run_program):
         "benchmarks/automatic_steps.py", "--accuracies", 1e-2, "--samples", 2, "--batches", 2, "--duration", 0.02,
         "--fine", 2e-4,
     )  # fmt: skip
-    accuracy, step, errors, seldom, often, beside = (cell.strip() for cell in said.splitlines()[-1].strip("|").split("|"))
+    accuracy, step, errors, seldom, often, beside = map(str.strip, said.splitlines()[-1].strip("|").split("|"))
     assert accuracy == "0.01" and 0.1 < float(step) <= 20.0 and beside == "-"
     assert float(seldom) > 0.0 and float(often) > 0.0
     assert all(0.0 < float(error) < 1e-2 for error in errors.split(","))

@@ -169,7 +169,7 @@ def test_the_first_guess_after_a_step_of_another_length(small, length, share):
     present = Coordinates(now, memory.accelerations.elastic)
     memory = memory._replace(accelerations=present, auxiliary=present, earlier=before)
     h = jnp.asarray(length)
-    trajectory, memory = solver.at_new_length(trajectory, memory, jnp.asarray(1e-3), h)
+    trajectory, memory = solver.formulas.at_new_length(trajectory, memory, jnp.asarray(1e-3), h)
     guess = solver.predict(StepConstants(h, h, jnp.zeros(())), StepStart(conditions, trajectory, memory))
     np.testing.assert_allclose(guess.accelerations.joints, now + share * (now - before), rtol=1e-14)
 
