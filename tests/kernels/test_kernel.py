@@ -264,7 +264,7 @@ def test_a_product_and_a_term_are_rounded_once(selection):
 @pytest.mark.parametrize("fuses", [False, True])
 def test_products_that_are_read_are_computed(fuses):
     """Six products, of which three are in sums alone, one is read besides, and two are the two of a difference."""
-    build, turns = Builder(fuses), 100
+    build, turns = Builder(immediate=True, fuses=fuses), 100
     arithmetic, x, y, z = Arithmetic(build), *(Value(f"%{name}", "d") for name in "xyz")
 
     def turn():
