@@ -29,8 +29,8 @@ import jax.numpy as jnp  # noqa: E402
 from rfem_jax import GeneralisedAlpha, RungeKutta4, assembly_errors, discretise, load_study  # noqa: E402
 from rfem_jax.kernels import kernel  # noqa: E402
 from rfem_jax.mechanics.model.with_errors import with_structural_zeros  # noqa: E402
-from rfem_jax.simulation import integration, stepping  # noqa: E402
-from rfem_jax.simulation.equations import Conditions  # noqa: E402
+from rfem_jax.simulation.stages import integration, stepping  # noqa: E402
+from rfem_jax.simulation.system.equations import Conditions  # noqa: E402
 
 STUDY = load_study(Path(__file__).parents[1] / "studies" / "four_bar" / "study.toml")
 METHODS = {"generalised_alpha": GeneralisedAlpha(step=1e-3, tolerance=1e-3), "rk4": RungeKutta4(step=1e-5)}

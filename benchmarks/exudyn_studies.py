@@ -27,9 +27,9 @@ from rfem_jax.exchange.exudyn_program import Settings, equilibrium, move
 from rfem_jax.exchange.exudyn_program import rms_loads as rms_loads_of
 from rfem_jax.mechanics.model.errors import AssemblyErrors
 from rfem_jax.simulation.accuracy import loads_of_trials
-from rfem_jax.simulation.integration import grid_for, prepare_batch
 from rfem_jax.simulation.solvers.generalised_alpha import ACCURACY_OF_TOLERANCE
-from rfem_jax.simulation.stepping import Integration
+from rfem_jax.simulation.stages.integration import grid_for, prepare_batch
+from rfem_jax.simulation.stages.stepping import Integration
 
 SETTLED = 0.2  # share of the duration that is left out
 ACCURACY = 1e-3  # of RMS loads, for times

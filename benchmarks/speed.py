@@ -59,7 +59,7 @@ from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.model.model import State
 from rfem_jax.mechanics.model.with_errors import apply_errors, with_structural_zeros
 from rfem_jax.mechanics.reference.formulation import reference_accelerations
-from rfem_jax.simulation.run import RESIDUAL_LIMIT
+from rfem_jax.simulation.outcome.run import RESIDUAL_LIMIT
 
 ACCURACIES = (1e-2, 1e-3)
 EXPLICIT_STEP = 1e-5  # s; in batches times for 0.5 s are by proportion

@@ -30,8 +30,8 @@ from jax import Array  # noqa: E402
 
 from rfem_jax import GeneralisedAlpha, Method, Simulation, assembly_errors, load_study, simulate  # noqa: E402
 from rfem_jax.simulation.accuracy import loads_of_trials  # noqa: E402
-from rfem_jax.simulation.integration import grid_for, prepare_batch  # noqa: E402
-from rfem_jax.simulation.stepping import Integration  # noqa: E402
+from rfem_jax.simulation.stages.integration import grid_for, prepare_batch  # noqa: E402
+from rfem_jax.simulation.stages.stepping import Integration  # noqa: E402
 
 STUDY = load_study(Path(__file__).parents[1] / "studies" / "four_bar" / "study.toml")
 INTERVAL = 25e-3  # s between observations: they cost little

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from rfem_jax import load_study, whole_files
-from rfem_jax.report import progress_line
 from rfem_jax.report.commands import folders
 from rfem_jax.report.page.folder import folder_content
+from rfem_jax.report.terminal import messages
 from rfem_jax.whole_files import write_text
 
 ROOT = Path(__file__).parents[1]
@@ -163,13 +163,13 @@ def test_the_old_console_of_windows_gets_no_codes_of_colours(monkeypatch):
     for name in ("NO_COLOR", "WT_SESSION", "ANSICON"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("TERM", "")
-    monkeypatch.setattr(progress_line.sys, "platform", "win32")
-    assert progress_line.paint("x", "red", Terminal()) == "x"
+    monkeypatch.setattr(messages.sys, "platform", "win32")
+    assert messages.paint("x", "red", Terminal()) == "x"
     monkeypatch.setenv("WT_SESSION", "1")
-    assert progress_line.paint("x", "red", Terminal()) == "\033[31mx\033[0m"
+    assert messages.paint("x", "red", Terminal()) == "\033[31mx\033[0m"
     monkeypatch.delenv("WT_SESSION")
-    monkeypatch.setattr(progress_line.sys, "platform", "darwin")
-    assert progress_line.paint("x", "red", Terminal()) == "\033[31mx\033[0m"
+    monkeypatch.setattr(messages.sys, "platform", "darwin")
+    assert messages.paint("x", "red", Terminal()) == "\033[31mx\033[0m"
 
 
 @pytest.mark.parametrize("name", ["C:case", "..\\case", "a/b", "C:\\case", "\\\\host\\case"])

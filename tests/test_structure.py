@@ -41,7 +41,7 @@ READ_BESIDE = {"labelled_data": ("rich_text", "text_layout")}  # and those of th
 NAME_OF_A_MODULE = re.compile(r"(rfem_jax(?:\.\w+)+)(?::\w+)?")
 PUBLIC = {name: f"rfem_jax.{module}" for module, names in rfem_jax._names.items() for name in names.split()}
 BY_STRINGS_OF_USERS = {"task_kinds.py", "lazy_names.py"}  # whose import_module has any argument
-FORMER = {"simulation/run.py": "report_run"}  # names of a package above that methods of the version before call
+FORMER = {"simulation/outcome/run.py": "report_run"}  # names of a package above that methods of the version before call
 
 
 @functools.cache
@@ -86,12 +86,12 @@ def imported_modules(path: Path):
 @pytest.mark.parametrize(
     ("text", "names"),
     [
-        ("import rfem_jax.report.tables", {"rfem_jax.report.tables"}),
-        ("def f():\n    from rfem_jax.report.tables import format_table", {"rfem_jax.report.tables"}),
+        ("import rfem_jax.report.contents.tables", {"rfem_jax.report.contents.tables"}),
+        ("def f():\n    from rfem_jax.report.contents.tables import format_table", {"rfem_jax.report.contents.tables"}),
         ("from rfem_jax import report_run", {"rfem_jax", "rfem_jax.report.page.run_page"}),
         ("import rfem_jax\nrfem_jax.simulate()", {"rfem_jax", "rfem_jax.simulation"}),
-        ('import_module("rfem_jax.report.tables")', {"rfem_jax.report.tables"}),
-        ('A = "rfem_jax.report.tables:format_table"', {"rfem_jax.report.tables"}),
+        ('import_module("rfem_jax.report.contents.tables")', {"rfem_jax.report.contents.tables"}),
+        ('A = "rfem_jax.report.contents.tables:format_table"', {"rfem_jax.report.contents.tables"}),
         ('A = "rfem_jax.schema.json"', set()),
     ],
 )

@@ -23,7 +23,7 @@ from rfem_jax.exchange.exudyn_mechanism import drive_pieces, exudyn_numbers, req
 from rfem_jax.mechanics.model.status import OK, STATUS
 from rfem_jax.mechanics.model.topology import BASE
 from rfem_jax.mechanics.statics.designs import designed, model_of_study
-from rfem_jax.simulation.integration import prepare
+from rfem_jax.simulation.stages.integration import prepare
 
 NUMBERS = 'globals().get("MECHANISM", {})'  # what they stand for in the program
 PARTS = ("exudyn_system", "exudyn_loads", "exudyn_program")

@@ -1,8 +1,14 @@
 """What a person sees: tables, files, pictures and the command line.
 
-The last package of the pipeline (description -> mechanics -> simulation -> tolerancing -> report).
-It computes no mechanics: `summary` picks the numbers out of the runs once, `tables`, `files` and
-`figures` show them, `command_line` and its subcommands in `commands` tie the packages
-together. Nothing is imported here, so that
-`rfem-jax --help` does not wait for JAX or matplotlib.
+It computes no mechanics. Nothing is imported here, so that `rfem-jax --help` does not wait for JAX or matplotlib.
+
+    command_line      `rfem-jax`; its subcommands are in `commands`
+    task_comparison   answers of tasks in two folders side by side
+    tasks             what tolerance studies show: texts, tables, pictures
+    analyses          modes, loads at rest, the turn of a drive
+    page              the page of results
+    validation        `rfem-jax validate`
+    drawings          pictures of mechanisms and curves
+    contents          tables, sentences and files of numbers
+    terminal          what is printed, progress, the process of a command
 """

@@ -1,7 +1,7 @@
 """The command `rfem-jax`: from a study file to tables, files and pictures.
 
 Place in the pipeline: the outermost layer; it parses the arguments, sets up the process and calls a subcommand of
-`report.commands`; `progress_line` shows what is being done. Exit codes: 0 done; 2 the input
+`report.commands`; `messages` shows what is being done. Exit codes: 0 done; 2 the input
 is wrong (one sentence on standard error); 3 a case or a task failed (results are written all the same); 1 what is
 printed could not be (nobody reads it any more; files are written all the same); 130 interrupted.
 
@@ -33,7 +33,7 @@ from rfem_jax.report.commands.command import (
     Command,
     Interrupted,
 )
-from rfem_jax.report.console import (
+from rfem_jax.report.terminal.console import (
     Reading,
     end_early_by,
     ends_early,
@@ -42,8 +42,8 @@ from rfem_jax.report.console import (
     printable,
     write,
 )
-from rfem_jax.report.process import count_devices, require_platform, set_up_jax, sharing
-from rfem_jax.report.progress_line import ProgressLine, clear_lines, paint, print_document, say, speaking
+from rfem_jax.report.terminal.messages import ProgressLine, clear_lines, output_mode, paint, print_document, say
+from rfem_jax.report.terminal.process import count_devices, require_platform, set_up_jax, sharing
 
 NOTHING_DONE = "nothing was done yet; start the same command again."
 
@@ -163,7 +163,7 @@ def _main(argv: Sequence[str] | None) -> int:
         return int(end.code or 0)
     if ends_early():
         end_early_by(partial(_end_at_once, arguments))
-    with speaking(document=arguments.json, quiet=arguments.quiet):
+    with output_mode(document=arguments.json, quiet=arguments.quiet):
         answer, problems = _answer(arguments)
     if arguments.json:
         head = {"command": arguments.command, "exit_code": answer.code, "problems": problems}
@@ -195,7 +195,7 @@ def _answer(arguments: argparse.Namespace) -> tuple[Answer, list[str]]:
 
 
 def _document(content: dict[str, Any]) -> str:
-    from rfem_jax.report.output import plain, without_nan
+    from rfem_jax.report.contents.output import plain, without_nan
 
     return json.dumps(without_nan(plain(content)), indent=2, allow_nan=False)
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rfem_jax.report.comparison import ROUNDING, Difference
+from rfem_jax.report.contents.comparison import ROUNDING, Difference
+from rfem_jax.report.contents.tables import format_numbers, format_table
 from rfem_jax.report.page.task_results import ANALYSES, read_json
-from rfem_jax.report.tables import format_numbers, format_table
 from rfem_jax.task_kinds import task_kinds
 
 # What is compared: the place of a number in the file, "*" for every key or entry (they name the row), the quantity, and

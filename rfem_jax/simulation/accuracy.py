@@ -26,16 +26,16 @@ from rfem_jax.mechanics.forces.friction import require_implicit
 from rfem_jax.mechanics.model.errors import AssemblyErrors, Deviations, Errors, assembly_errors
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.status import OK
-from rfem_jax.simulation import balances, integration
-from rfem_jax.simulation.conclusion import joint_places, load_summary
-from rfem_jax.simulation.driving import Drive, require_driven
-from rfem_jax.simulation.integration import Prepared
-from rfem_jax.simulation.remarks import REMARKABLE_BALANCE
-from rfem_jax.simulation.sampled_laws import steps_that_see
+from rfem_jax.simulation.outcome.remarks import REMARKABLE_BALANCE
 from rfem_jax.simulation.solvers.generalised_alpha import ACCURACY_OF_TOLERANCE
-from rfem_jax.simulation.stability import largest_stable_step, round_down
-from rfem_jax.simulation.stepping import Carry, Integration
-from rfem_jax.simulation.time_grid import ROUNDING, TimeGrid
+from rfem_jax.simulation.stages import balances, integration
+from rfem_jax.simulation.stages.conclusion import joint_places, load_summary
+from rfem_jax.simulation.stages.integration import Prepared
+from rfem_jax.simulation.stages.stepping import Carry, Integration
+from rfem_jax.simulation.system.driving import Drive, require_driven
+from rfem_jax.simulation.system.sampled_laws import steps_that_see
+from rfem_jax.simulation.system.time_grid import ROUNDING, TimeGrid
+from rfem_jax.simulation.vibrations.stability import largest_stable_step, round_down
 
 TRIAL_INTERVALS = 50
 FIRST, LAST = 2, 256  # steps in an interval

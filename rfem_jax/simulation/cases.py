@@ -21,17 +21,18 @@ from rfem_jax.labelled_data import DataFrame, Dataset, frame
 from rfem_jax.mechanics.model.errors import Deviations, deviations
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.statics.designs import model_of_study
-from rfem_jax.simulation import integration, labelled_runs
 from rfem_jax.simulation.accuracy import choose_method
-from rfem_jax.simulation.conclusion import run_of
-from rfem_jax.simulation.driving import require_driven
 from rfem_jax.simulation.locking import with_limit
-from rfem_jax.simulation.records import require_records
-from rfem_jax.simulation.run import Run, of_model, one_of
+from rfem_jax.simulation.outcome import labelled_runs
+from rfem_jax.simulation.outcome.records import require_records
+from rfem_jax.simulation.outcome.run import Run, of_model, one_of
 from rfem_jax.simulation.simulating import simulate
 from rfem_jax.simulation.specification import Simulation
-from rfem_jax.simulation.stepping import Integration
-from rfem_jax.simulation.time_grid import TimeGrid
+from rfem_jax.simulation.stages import integration
+from rfem_jax.simulation.stages.conclusion import run_of
+from rfem_jax.simulation.stages.stepping import Integration
+from rfem_jax.simulation.system.driving import require_driven
+from rfem_jax.simulation.system.time_grid import TimeGrid
 from rfem_jax.simulation.unfinished import Unfinished
 
 PIECES = 20

@@ -31,13 +31,13 @@ from rfem_jax.mechanics.model.errors import Errors
 from rfem_jax.mechanics.model.model import Model, State
 from rfem_jax.mechanics.model.topology import Topology
 from rfem_jax.mechanics.statics.designs import Design, designed
-from rfem_jax.simulation import integration
-from rfem_jax.simulation.conclusion import Conclusion, run_of_design
-from rfem_jax.simulation.driving import Drive, drive_of_design, require_driven
-from rfem_jax.simulation.records import PerfectPath, asks_perfect_path, require_records
-from rfem_jax.simulation.run import Run
+from rfem_jax.simulation.outcome.records import PerfectPath, asks_perfect_path, require_records
+from rfem_jax.simulation.outcome.run import Run
 from rfem_jax.simulation.specification import Simulation, simulation_of_call
-from rfem_jax.simulation.stepping import Integration
+from rfem_jax.simulation.stages import integration
+from rfem_jax.simulation.stages.conclusion import Conclusion, run_of_design
+from rfem_jax.simulation.stages.stepping import Integration
+from rfem_jax.simulation.system.driving import Drive, drive_of_design, require_driven
 
 RANK = 1e-9  # of what a revolution leaves of changes of its start
 MEMORY = 6  # revolutions that the next start is made of

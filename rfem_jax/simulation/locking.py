@@ -22,8 +22,8 @@ from rfem_jax.mechanics.model.discretisation import CLOSING_TOLERANCE, close_at
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.nominal_geometry import geometry_of, joint_units
 from rfem_jax.mechanics.model.status import DIVERGED, DRIFTED, NOT_CONVERGED, OUT_OF_RANGE, PAST_LIMIT, STEPS_EXHAUSTED
-from rfem_jax.simulation.driving import ActiveDrives, active_drives, all_jumps
-from rfem_jax.simulation.run import Run
+from rfem_jax.simulation.outcome.run import Run
+from rfem_jax.simulation.system.driving import ActiveDrives, active_drives, all_jumps
 
 SAMPLES = 1000  # of the drive over the duration
 STEP = 0.05  # of the prescribed positions from pose to pose [rad, longest links]

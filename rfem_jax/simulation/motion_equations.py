@@ -20,12 +20,12 @@ from rfem_jax.mechanics.model.model import Model, State
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors, with_structural_zeros
 from rfem_jax.mechanics.statics.assembly import Load, named
 from rfem_jax.mechanics.statics.designs import designed
-from rfem_jax.simulation import equations
-from rfem_jax.simulation.driving import ActiveDrives, active_drives, all_jumps, drive_of_design
-from rfem_jax.simulation.equations import Conditions, Trajectory
-from rfem_jax.simulation.integration import prepare
 from rfem_jax.simulation.specification import Simulation, simulation_of_call
-from rfem_jax.simulation.stabilisation import stabilisation_of
+from rfem_jax.simulation.stages.integration import prepare
+from rfem_jax.simulation.system import equations
+from rfem_jax.simulation.system.driving import ActiveDrives, active_drives, all_jumps, drive_of_design
+from rfem_jax.simulation.system.equations import Conditions, Trajectory
+from rfem_jax.simulation.system.stabilisation import stabilisation_of
 
 
 class EquationsOfMotion(eqx.Module):

@@ -20,14 +20,14 @@ from rfem_jax.compilation.program import Program
 from rfem_jax.mechanics.model.errors import AssemblyErrors, Deviations, Errors, deviations_of
 from rfem_jax.mechanics.model.model import Model, State
 from rfem_jax.mechanics.statics.designs import Design, designed
-from rfem_jax.simulation.conclusion import Conclusion, run_of_design
-from rfem_jax.simulation.driving import drive_of_design
-from rfem_jax.simulation.integration import advance, conclude, grid_for, perfect_paths, prepare, start_carry
 from rfem_jax.simulation.locking import with_limit
-from rfem_jax.simulation.records import asks_perfect_path, require_records
-from rfem_jax.simulation.run import Run
+from rfem_jax.simulation.outcome.records import asks_perfect_path, require_records
+from rfem_jax.simulation.outcome.run import Run
 from rfem_jax.simulation.specification import Simulation, simulation_of_call
-from rfem_jax.simulation.stepping import Integration
+from rfem_jax.simulation.stages.conclusion import Conclusion, run_of_design
+from rfem_jax.simulation.stages.integration import advance, conclude, grid_for, perfect_paths, prepare, start_carry
+from rfem_jax.simulation.stages.stepping import Integration
+from rfem_jax.simulation.system.driving import drive_of_design
 
 
 def simulate(

@@ -27,7 +27,7 @@ from rfem_jax.mechanics.model.status import OK
 from rfem_jax.mechanics.statics.assembly import with_start
 from rfem_jax.mechanics.statics.designs import Design, designed, model_of_study, parameters
 from rfem_jax.simulation.accuracy import choose_method
-from rfem_jax.simulation.driving import drive_of_design, require_driven
+from rfem_jax.simulation.system.driving import drive_of_design, require_driven
 
 
 class Simulation(eqx.Module):

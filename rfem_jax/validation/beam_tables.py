@@ -16,7 +16,7 @@ from rfem_jax.description import DistributedForce, GivenSection, Joint, Link, Me
 from rfem_jax.mechanics.model.discretisation import discretise
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.statics.designs import design
-from rfem_jax.simulation.statics import StaticLoads, static_loads
+from rfem_jax.simulation.rest.statics import StaticLoads, static_loads
 from rfem_jax.validation.lines import Line, Outcome, Progress, absolute
 from rfem_jax.validation.reference_values import read_reference
 from rfem_jax.validation.rigid_links import body

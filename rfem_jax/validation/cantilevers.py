@@ -35,7 +35,7 @@ from rfem_jax.mechanics.model.errors import assembly_errors
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics.assembly import assemble
-from rfem_jax.simulation.stability import eigenvalues
+from rfem_jax.simulation.vibrations.stability import eigenvalues
 from rfem_jax.validation.lines import Line, Outcome, Progress, relative
 from rfem_jax.validation.reference_values import read_reference
 

@@ -26,7 +26,7 @@ from rfem_jax.mechanics.model.errors import assembly_errors
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics.assembly import assemble
-from rfem_jax.simulation.modes import natural_frequencies
+from rfem_jax.simulation.vibrations.modes import natural_frequencies
 from rfem_jax.validation.lines import Line, Outcome, Progress, relative
 
 RADIUS, FORCE = 0.3, 1e-4  # m, N

@@ -21,7 +21,7 @@ from rfem_jax.description import (
 from rfem_jax.mechanics.model.discretisation import discretise
 from rfem_jax.mechanics.model.errors import assembly_errors
 from rfem_jax.simulation import Run, Simulation, simulate
-from rfem_jax.simulation.driving import Drive
+from rfem_jax.simulation.system.driving import Drive
 from rfem_jax.validation.joint_cases import Shares, checked
 from rfem_jax.validation.lines import Line, Outcome, Progress, relative
 from rfem_jax.validation.reference_values import read_reference

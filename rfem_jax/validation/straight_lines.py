@@ -9,8 +9,8 @@ from jaxtyping import Float
 
 from rfem_jax.description import Joint, Mechanism, Point
 from rfem_jax.mechanics.model.discretisation import discretise
-from rfem_jax.simulation.run import PointPath
-from rfem_jax.simulation.statics import inverse_dynamics
+from rfem_jax.simulation.outcome.run import PointPath
+from rfem_jax.simulation.rest.statics import inverse_dynamics
 from rfem_jax.validation.lines import Line, Outcome, Progress, absolute
 from rfem_jax.validation.reference_values import read_reference
 from rfem_jax.validation.rigid_links import body

@@ -1,6 +1,6 @@
 """Pictures of the preload study: over a revolution of the crank, each error at its worst, drive moment.
 
-Units: crank angle deg; N and N m per deg or mm; colours and marks from `rfem_jax.report.style`.
+Units: crank angle deg; N and N m per deg or mm; colours and marks from `rfem_jax.report.drawings.style`.
 """
 
 from pathlib import Path
@@ -10,8 +10,8 @@ from matplotlib import rc_context
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from rfem_jax.report.pictures import write_pictures
-from rfem_jax.report.style import SETTINGS, add_titles, line_style, panel_grid
+from rfem_jax.report.drawings.pictures import write_pictures
+from rfem_jax.report.drawings.style import SETTINGS, add_titles, line_style, panel_grid
 
 AT_D = {"D.delta_x": "1 deg", "D.delta_z": "1 deg", "D.d_y": "1 mm"}
 SMALL = 1e-3  # N, N m: below it an error counts as harmless

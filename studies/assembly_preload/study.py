@@ -4,7 +4,8 @@
 
 The main study's four-bar (studies/four_bar/study.toml, a substitute for the paper's lost data) in static equilibrium
 at every crank angle, the crank held: no dynamics (theory (6.1)).  Equilibria are those of the kinetostatic turn
-(`rfem_jax.simulation.turn`; `rfem-jax turn STUDY.toml` for any mechanism), from the closed perfect mechanism there.
+(`rfem_jax.simulation.rest.turn`; `rfem-jax turn STUDY.toml` for any mechanism), from the closed perfect mechanism
+there.
 
     derivatives  of the preload of every joint by every error, at zero error (jacfwd)
     differences  preload with an error of 1 deg or 1 mm minus that of the perfect mechanism
@@ -43,8 +44,8 @@ from rfem_jax import (  # noqa: E402
     load_study,
 )
 from rfem_jax.description.tolerances.error_catalogue import error_dimension  # noqa: E402
-from rfem_jax.report.output import write_csv, write_json  # noqa: E402
-from rfem_jax.simulation.turn import ClosedPose, closed_poses, held_at  # noqa: E402
+from rfem_jax.report.contents.output import write_csv, write_json  # noqa: E402
+from rfem_jax.simulation.rest.turn import ClosedPose, closed_poses, held_at  # noqa: E402
 
 
 class Size(NamedTuple):

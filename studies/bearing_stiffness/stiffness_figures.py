@@ -1,6 +1,6 @@
 """Pictures of the study of bearing stiffness: preload over the stiffness, and which stiffness counts.
 
-Units: stiffness across the axis in N/m; N and N m; colours and marks from `rfem_jax.report.style`.
+Units: stiffness across the axis in N/m; N and N m; colours and marks from `rfem_jax.report.drawings.style`.
 """
 
 from pathlib import Path
@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from rfem_jax.report.pictures import write_pictures
-from rfem_jax.report.style import BAR_COLOURS, SETTINGS, add_titles, bar_style, line_style, panel_grid
+from rfem_jax.report.drawings.pictures import write_pictures
+from rfem_jax.report.drawings.style import BAR_COLOURS, SETTINGS, add_titles, bar_style, line_style, panel_grid
 
 RANGES = (("rubber\nbushings", 1e5, 1e7), ("plain and rolling\nbearings", 1e7, 1e9))
 CURVES = {"rigid": "rigid links", "flexible": "flexible links", "series": "rigid and ideal in series"}

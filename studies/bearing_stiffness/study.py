@@ -32,7 +32,7 @@ import numpy as np  # noqa: E402
 import stiffness_figures  # noqa: E402
 
 from rfem_jax import AssemblyErrors, Mechanism, Model, assemble, assembly_errors, discretise, load_study  # noqa: E402
-from rfem_jax.report.output import write_csv, write_json  # noqa: E402
+from rfem_jax.report.contents.output import write_csv, write_json  # noqa: E402
 
 
 class Size(NamedTuple):

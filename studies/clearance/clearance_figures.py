@@ -1,6 +1,6 @@
 """Pictures of the clearance study: loads of all joints over the clearance, their scatter over tolerances, motion.
 
-Units: clearance um; N and N m; colours and marks from `rfem_jax.report.style`.
+Units: clearance um; N and N m; colours and marks from `rfem_jax.report.drawings.style`.
 """
 
 from pathlib import Path
@@ -8,8 +8,8 @@ from pathlib import Path
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from rfem_jax.report.pictures import write_pictures
-from rfem_jax.report.style import SETTINGS, add_titles, line_style
+from rfem_jax.report.drawings.pictures import write_pictures
+from rfem_jax.report.drawings.style import SETTINGS, add_titles, line_style
 
 PANELS = (("force", "N", "N"), ("moment", "Nm", "N m"))
 

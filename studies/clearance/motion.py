@@ -28,7 +28,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from rfem_jax import GeneralisedAlpha, PrescribedRate, Simulation, assembly_errors, design, load_study, simulate
-from rfem_jax.report.output import write_csv
+from rfem_jax.report.contents.output import write_csv
 
 RATE = 300.0 * 2.0 * np.pi / 60.0  # rad/s
 SAVED = 0.01  # s

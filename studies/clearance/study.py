@@ -36,7 +36,7 @@ from scipy.stats import qmc  # noqa: E402
 
 from rfem_jax import Clearance, Model, Study, assemble, assembly_errors, design, discretise, load_study  # noqa: E402
 from rfem_jax.description.basics.iso_fits import fit  # noqa: E402
-from rfem_jax.report.output import write_csv, write_json  # noqa: E402
+from rfem_jax.report.contents.output import write_csv, write_json  # noqa: E402
 
 
 class Size(NamedTuple):

@@ -11,8 +11,8 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from rfem_jax import Study
-from rfem_jax.report.pictures import write_pictures
-from rfem_jax.report.style import SETTINGS, add_titles, bar_style, line_style, panel_grid
+from rfem_jax.report.drawings.pictures import write_pictures
+from rfem_jax.report.drawings.style import SETTINGS, add_titles, bar_style, line_style, panel_grid
 
 LOADED = ("P2", "P5")  # cases whose errors load the joints
 NAMES = {

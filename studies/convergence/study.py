@@ -49,7 +49,7 @@ from rfem_jax import (  # noqa: E402
     simulate,
 )
 from rfem_jax.description.methods import named_method  # noqa: E402
-from rfem_jax.report.output import write_csv, write_json  # noqa: E402
+from rfem_jax.report.contents.output import write_csv, write_json  # noqa: E402
 
 CASES = ("P1", "P2", "P5")
 QUESTIONS = ("rfes", "steps", "elements", "crank", "damping")

@@ -10,8 +10,8 @@ from typing import Any
 from matplotlib import rc_context
 
 from rfem_jax import Study
-from rfem_jax.report.pictures import write_pictures
-from rfem_jax.report.style import CASE_COLOURS, SETTINGS, add_titles, new_figure
+from rfem_jax.report.drawings.pictures import write_pictures
+from rfem_jax.report.drawings.style import CASE_COLOURS, SETTINGS, add_titles, new_figure
 
 
 def write_figure(folder: Path, study: Study, rows: Sequence[Mapping[str, Any]]) -> list[Path]:

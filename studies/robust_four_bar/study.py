@@ -30,7 +30,7 @@ import numpy as np  # noqa: E402
 from comparison_figure import write_figure  # noqa: E402
 
 from rfem_jax import Problem, Study, load_study, optimise  # noqa: E402
-from rfem_jax.report.output import write_csv, write_json  # noqa: E402
+from rfem_jax.report.contents.output import write_csv, write_json  # noqa: E402
 from rfem_jax.report.tasks.solution_report import build_cost  # noqa: E402
 from rfem_jax.report.tasks.study_problem import build_problem  # noqa: E402
 from rfem_jax.tolerancing.problems.evaluation import evaluate_points  # noqa: E402

@@ -25,7 +25,7 @@ from scipy.linalg import eigh
 from scipy.sparse.linalg import eigsh
 
 from rfem_jax import Interface, ReducedBody, craig_bampton, save_body
-from rfem_jax.report.output import write_csv
+from rfem_jax.report.contents.output import write_csv
 
 MODES, DAMPING = 10, 1e-5
 LOADS = {"bent": 2, "bent_sideways": 1, "twisted": 3, "turned_sideways": 5}  # on C: F_z, F_y, M_x, M_z

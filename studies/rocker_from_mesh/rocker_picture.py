@@ -9,8 +9,8 @@ from matplotlib.tri import Triangulation
 from rocker_mesh import Solid
 from skfem import ElementHex2
 
-from rfem_jax.report.pictures import write_pictures
-from rfem_jax.report.style import SETTINGS
+from rfem_jax.report.drawings.pictures import write_pictures
+from rfem_jax.report.drawings.style import SETTINGS
 
 PANELS = {"bent": "(a) force of 1 N on C, across", "bent_sideways": "(b) force of 1 N on C, along its pin"}
 

@@ -20,7 +20,7 @@ from rfem_jax import (
     parameters,
 )
 from rfem_jax.description.tolerances.tolerances import SpecifiedTolerance
-from rfem_jax.report.overview import _clearance_text, joint_rows
+from rfem_jax.report.contents.overview import _clearance_text, joint_rows
 
 from .test_study_files import FULL
 

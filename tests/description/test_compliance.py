@@ -7,7 +7,7 @@ import pytest
 
 from rfem_jax import Compliance, InputError, Joint, Link, Mechanism, Rectangle, describe, discretise, load_study
 from rfem_jax.description.basics.joint_kinds import KINDS, JointKind, compliant
-from rfem_jax.report.overview import _compliance_text
+from rfem_jax.report.contents.overview import _compliance_text
 from tests.mechanisms import STEEL, compliant_four_bar, four_bar
 
 from .test_study_files import FULL

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from rfem_jax import Joint, Link, Mechanism, PointMass, Rectangle, RigidBody, assembly_errors, discretise, load_study
 from rfem_jax.mechanics.model.with_errors import apply_errors
-from rfem_jax.report.overview import link_rows
+from rfem_jax.report.contents.overview import link_rows
 
 from .test_several_drives import SLIDER
 

@@ -8,7 +8,7 @@ import pytest
 from rfem_jax import AngleSection, ChannelSection, HollowRectangle, InputError, ISection, Link, Material, TeeSection
 from rfem_jax.description.mechanism.shear_flows import Wall, shear_flow
 from rfem_jax.description.mechanism.walled_sections import cowper_factor
-from rfem_jax.report.overview import section_text
+from rfem_jax.report.contents.overview import section_text
 
 STEEL = Material("steel", "210 GPa", 7850.0, poisson_ratio=0.3)
 SECTIONS = {

@@ -20,7 +20,7 @@ from rfem_jax.exchange.scene import parts_of
 from rfem_jax.mechanics.dynamics.centre_lines import link_lines, trace_bodies
 from rfem_jax.mechanics.model.model import Coordinates
 from rfem_jax.mechanics.model.with_errors import apply_errors
-from rfem_jax.report.motion_files import write_motions
+from rfem_jax.report.contents.motion_files import write_motions
 from rfem_jax.report.page.animation import record_animation
 from rfem_jax.simulation import run_cases
 from tests.mechanisms import curved_four_bar, four_bar

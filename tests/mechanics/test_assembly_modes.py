@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rfem_jax import InputError, Joint, Mechanism, assemble, design, discretise
-from rfem_jax.report.overview import closed_text
+from rfem_jax.report.contents.overview import closed_text
 from tests.mechanics.test_redundant_reactions import plain
 
 BASE, CRANK, COUPLER, ROCKER = 0.3, 0.12, 0.3, 0.25

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rfem_jax import InputError, Joint, JointSpring, Mechanism, describe, discretise
-from rfem_jax.report.overview import count_lines
+from rfem_jax.report.contents.overview import count_lines
 from tests.mechanisms import link, loop_cut_by
 
 

@@ -15,7 +15,7 @@ from rfem_jax.mechanics.kinematics.motion import motion_of
 from rfem_jax.mechanics.model.model import length_scale
 from rfem_jax.mechanics.model.nominal_geometry import closure_jacobian, gaps, geometry_of, place
 from rfem_jax.mechanics.model.with_errors import apply_errors
-from rfem_jax.report.overview import count_lines
+from rfem_jax.report.contents.overview import count_lines
 from tests.mechanisms import link, twisted_spatial_loop, two_loop_six_bar
 
 

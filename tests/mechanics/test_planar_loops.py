@@ -39,7 +39,7 @@ from rfem_jax import (
 from rfem_jax.mechanics import describe
 from rfem_jax.mechanics.model.planar_loops import opening
 from rfem_jax.mechanics.model.status import STATUS
-from rfem_jax.simulation.remarks import remarks_on
+from rfem_jax.simulation.outcome.remarks import remarks_on
 from tests.mechanics.test_redundant_reactions import door, loop, plain, slider_crank, toggle
 from tests.mechanisms import four_bar, link, twisted_spatial_loop, two_loop_six_bar
 

@@ -17,7 +17,7 @@ from rfem_jax.mechanics.kinematics.motion import all_frames
 from rfem_jax.mechanics.laws.frame_forces import Time
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation, impose
 from rfem_jax.mechanics.model.with_errors import apply_errors
-from rfem_jax.simulation.observation import solved_instant
+from rfem_jax.simulation.outcome.observation import solved_instant
 from tests.mechanics.test_formulations import close
 from tests.mechanisms import random_state, slender, some_errors, two_loop_six_bar, with_stations
 

@@ -7,10 +7,10 @@ import numpy as np
 from rfem_jax import discretise
 from rfem_jax.mechanics.model.nominal_geometry import geometry_of
 from rfem_jax.mechanics.model.nominal_path import nearest_closed, nominal_shapes
-from rfem_jax.report.files import write_files
+from rfem_jax.report.contents.files import write_files
+from rfem_jax.report.contents.summary import summarise
 from rfem_jax.report.page.acting import ACTING
 from rfem_jax.report.page.animation import PARTS, write_arrays
-from rfem_jax.report.summary import summarise
 
 BEND = 1e-3  # m, the largest deviation of the case with the largest errors
 

@@ -15,7 +15,7 @@ from rfem_jax.mechanics.model.status import NO_MODES, OK
 from rfem_jax.report import command_line
 from rfem_jax.report.analyses import modes_report
 from rfem_jax.report.command_line import main
-from rfem_jax.simulation.modes import NaturalModes
+from rfem_jax.simulation.vibrations.modes import NaturalModes
 from tests.study_texts import STEEL, hinge, link, rectangle
 
 from .page_folder import content_of

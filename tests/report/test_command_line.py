@@ -20,16 +20,17 @@ import rfem_jax
 
 # The modules themselves serve beside the stand-ins for their packages.
 import rfem_jax.mechanics.statics.designs
-import rfem_jax.simulation.quantities
+import rfem_jax.simulation.outcome.quantities
 from rfem_jax import InputError, task_kinds
 from rfem_jax.compilation import cache, keeping
 from rfem_jax.compilation.cache import user_cache_folder
 from rfem_jax.compilation.stages import listening, on_stage
-from rfem_jax.report import command_line, console
+from rfem_jax.report import command_line
 from rfem_jax.report.command_line import build_parser, main
 from rfem_jax.report.commands.catalogue import all_commands
-from rfem_jax.report.process import count_devices, require_platform
-from rfem_jax.report.progress_line import ProgressLine, paint, show
+from rfem_jax.report.terminal import console
+from rfem_jax.report.terminal.messages import ProgressLine, paint, show
+from rfem_jax.report.terminal.process import count_devices, require_platform
 
 from .conftest import START
 
@@ -146,7 +147,7 @@ def test_a_full_disk_is_one_sentence(packages, study_file, tmp_path, capsys, mon
     def fail(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("rfem_jax.report.files.write_files", fail)
+    monkeypatch.setattr("rfem_jax.report.contents.files.write_files", fail)
     assert main(["run", str(study_file), "--out", str(tmp_path)]) == 2
     assert "No space left on device" in capsys.readouterr().err.splitlines()[-1]
 
@@ -257,7 +258,10 @@ def test_without_matplotlib_the_rest_is_written(packages, study_file, tmp_path, 
 
 
 COMMANDS = Path(rfem_jax.__file__).parent / "report" / "commands"
-LIGHT = {"report.annotations", "report.console", "report.process", "report.progress_line", "task_kinds"}
+LIGHT = {
+    "report.contents.annotations",
+    *("report.terminal.console", "report.terminal.process", "report.terminal.messages", "task_kinds"),
+}
 LIGHT |= {"progress_line", "usable_cores"}
 LIGHT |= {f"report.commands.{path.stem}" for path in COMMANDS.glob("*.py") if path.stem != "__init__"}
 
@@ -326,7 +330,7 @@ def test_quiet(packages, study_file, tmp_path, capsys):
 def settings_in_a_new_process(tmp_path, arguments="", **environment):
     """Double precision and cache folder that `set_up_jax` leaves behind."""
     code = (
-        "from rfem_jax.report.process import set_up_jax; import jax; "
+        "from rfem_jax.report.terminal.process import set_up_jax; import jax; "
         f"set_up_jax({arguments}); "
         "print(jax.config.jax_enable_x64, jax.config.jax_compilation_cache_dir)"
     )

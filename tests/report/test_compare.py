@@ -7,8 +7,8 @@ import json
 import pytest
 
 from rfem_jax.report.command_line import main
-from rfem_jax.report.files import write_results
-from rfem_jax.report.summary import summarise
+from rfem_jax.report.contents.files import write_results
+from rfem_jax.report.contents.summary import summarise
 
 
 @pytest.fixture

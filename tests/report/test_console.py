@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from rfem_jax.report import command_line, console
-from rfem_jax.report.progress_line import show
+from rfem_jax.report import command_line
+from rfem_jax.report.terminal import console
+from rfem_jax.report.terminal.messages import show
 
 from .conftest import STUDY
 from .test_command_line import packages  # noqa: F401
@@ -55,7 +56,7 @@ def test_a_process_without_streams(packages, study_file, tmp_path, monkeypatch):
 @pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
 def test_files_do_not_take_the_place_of_closed_streams(tmp_path, closed):
     """The next file that is opened has the smallest number that is free: that of standard output, say."""
-    code = "from rfem_jax.report.console import *; open_closed_streams(); file = open('file', 'w'); "
+    code = "from rfem_jax.report.terminal.console import *; open_closed_streams(); file = open('file', 'w'); "
     code += "print(sys.stdout.encoding); print('x', file=sys.stderr); sys.exit(file.fileno() < 3)"
     done = subprocess.run(
         ["sh", "-c", f'"{sys.executable}" -c "import os, sys; {code}" {closed}'],

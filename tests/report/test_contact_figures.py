@@ -15,10 +15,10 @@ from rfem_jax import Clearance, discretise
 from rfem_jax.mechanics import Load
 from rfem_jax.mechanics.forces.bush_contacts import ContactState
 from rfem_jax.report.analyses.turn_report import turn_figure, turn_text, write_turn
-from rfem_jax.report.contact_figures import orbit_figures
-from rfem_jax.report.files import contact_columns
-from rfem_jax.report.summary import summarise, summarise_run
-from rfem_jax.report.tables import results_text
+from rfem_jax.report.contents.files import contact_columns
+from rfem_jax.report.contents.summary import summarise, summarise_run
+from rfem_jax.report.contents.tables import results_text
+from rfem_jax.report.drawings.contact_figures import orbit_figures
 from rfem_jax.simulation import Turn
 
 from .conftest import synthetic_run

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from rfem_jax import load_study
-from rfem_jax.report.driven_motions_report import drive_quantities, has_driven_joint
-from rfem_jax.report.files import history_columns, write_results
-from rfem_jax.report.overview import _drives_text, joint_rows
-from rfem_jax.report.summary import _driven_joints, summarise
-from rfem_jax.report.tables import driven_joint_table
+from rfem_jax.report.contents.driven_motions_report import drive_quantities, has_driven_joint
+from rfem_jax.report.contents.files import history_columns, write_results
+from rfem_jax.report.contents.overview import _drives_text, joint_rows
+from rfem_jax.report.contents.summary import _driven_joints, summarise
+from rfem_jax.report.contents.tables import driven_joint_table
 from tests.description.test_several_drives import MOMENT, PUSH, SLIDER
 from tests.report.conftest import STUDY
 
@@ -73,7 +73,7 @@ def test_ends_in_summary_table_and_file(several, statuses, tmp_path):
 
 def test_a_picture_of_position_rate_and_force(several, statuses):
     pytest.importorskip("matplotlib", reason="pictures need the extra `plots`")
-    from rfem_jax.report.figures import _motion_figures
+    from rfem_jax.report.drawings.figures import _motion_figures
 
     figures = _motion_figures(*several)
     assert list(figures) == [f"{joint}_drive_{what}" for joint in "DA" for what in ("angle", "rate", "moment")]

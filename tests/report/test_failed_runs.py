@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from rfem_jax import STATUS
-from rfem_jax.report.figures import write_figures
-from rfem_jax.report.files import write_files
+from rfem_jax.report.contents.files import write_files
+from rfem_jax.report.contents.summary import readable, summarise
+from rfem_jax.report.contents.tables import results_text
+from rfem_jax.report.drawings.figures import write_figures
 from rfem_jax.report.page.animation import quaternions_of, write_arrays
 from rfem_jax.report.page.document import write_folder
-from rfem_jax.report.summary import readable, summarise
-from rfem_jax.report.tables import results_text
 
 from .conftest import synthetic_run
 from .page_folder import animation, content_of

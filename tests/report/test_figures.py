@@ -17,10 +17,11 @@ from matplotlib.lines import Line2D
 from matplotlib.path import Path
 
 from rfem_jax import STATUS, Compliance, Joint, load_study
-from rfem_jax.report import shapes
-from rfem_jax.report.figures import component_figure, draw_figures, shown_joints, write_figures
-from rfem_jax.report.pictures import write_pictures
-from rfem_jax.report.shapes import (
+from rfem_jax.report.contents.summary import summarise
+from rfem_jax.report.drawings import shapes
+from rfem_jax.report.drawings.figures import component_figure, draw_figures, shown_joints, write_figures
+from rfem_jax.report.drawings.pictures import write_pictures
+from rfem_jax.report.drawings.shapes import (
     assembly_figure,
     exaggerated_lines,
     exaggeration,
@@ -29,9 +30,8 @@ from rfem_jax.report.shapes import (
     round_factor,
     seats,
 )
-from rfem_jax.report.style import SETTINGS, bar_style, line_style
-from rfem_jax.report.summary import summarise
-from rfem_jax.simulation.quantities import RMS_MOMENT
+from rfem_jax.report.drawings.style import SETTINGS, bar_style, line_style
+from rfem_jax.simulation.outcome.quantities import RMS_MOMENT
 
 from .conftest import STUDY, all_complete, synthetic_runs
 

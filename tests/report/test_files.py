@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from rfem_jax.report.files import history_columns, write_files
-from rfem_jax.report.output import write_csv
-from rfem_jax.report.summary import reference_case, summarise
-from rfem_jax.simulation.quantities import column_name
+from rfem_jax.report.contents.files import history_columns, write_files
+from rfem_jax.report.contents.output import write_csv
+from rfem_jax.report.contents.summary import reference_case, summarise
+from rfem_jax.simulation.outcome.quantities import column_name
 from rfem_jax.whole_files import replacing
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from rfem_jax import FunctionProblem, InputError, Metric, load_study
 from rfem_jax.report.command_line import main
-from rfem_jax.report.files import axes_columns, history_columns
+from rfem_jax.report.contents.files import axes_columns, history_columns
 from rfem_jax.report.page.folder import folder_content
 from rfem_jax.report.tasks.catalogue import report_on
 from rfem_jax.report.tasks.task_overview import tasks_text

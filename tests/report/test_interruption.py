@@ -8,9 +8,10 @@ import pytest
 
 import rfem_jax.simulation
 from rfem_jax.compilation.stages import listening
-from rfem_jax.report import command_line, validation_command
+from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
 from rfem_jax.report.tasks import study_problem
+from rfem_jax.report.validation import validation_command
 from rfem_jax.tolerancing.problems import evaluation, kept_evaluations, quadratic_model
 from rfem_jax.validation.lines import Benchmark, Line, Outcome
 from tests.study_texts import ROUND, STEEL, hinge, link

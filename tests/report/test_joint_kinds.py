@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from rfem_jax import describe, discretise, load_study, run_cases
-from rfem_jax.report.figures import _component_titles
-from rfem_jax.report.files import history_columns, write_files
-from rfem_jax.report.overview import study_text
-from rfem_jax.report.shapes import labelled_points
-from rfem_jax.report.summary import summarise
+from rfem_jax.report.contents.files import history_columns, write_files
+from rfem_jax.report.contents.overview import study_text
+from rfem_jax.report.contents.summary import summarise
+from rfem_jax.report.drawings.figures import _component_titles
+from rfem_jax.report.drawings.shapes import labelled_points
 from rfem_jax.simulation.accuracy import trial_errors
 from tests.study_texts import STEEL, hinge, link, rectangle
 

@@ -12,7 +12,14 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from rfem_jax import Joint, JointForceTable, JointSpring, Mechanism
 from rfem_jax.description.basics.joint_kinds import KINDS
-from rfem_jax.report.joint_symbols import MARKERS, draw_force, draw_joint, guide_ends, joint_seats, legend_handles
+from rfem_jax.report.drawings.joint_symbols import (
+    MARKERS,
+    draw_force,
+    draw_joint,
+    guide_ends,
+    joint_seats,
+    legend_handles,
+)
 from tests.mechanisms import chain_of_kinds, link
 
 TURNED = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # R_z(-90 deg)

@@ -10,8 +10,8 @@ pytest.importorskip("matplotlib", reason="pictures need the extra `plots`")
 
 from matplotlib.ticker import FuncFormatter
 
-from rfem_jax.report import pictures
-from rfem_jax.report.style import SETTINGS, new_figure
+from rfem_jax.report.drawings import pictures
+from rfem_jax.report.drawings.style import SETTINGS, new_figure
 
 
 def curves(count, formatter=None):

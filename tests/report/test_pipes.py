@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from rfem_jax.report import command_line
-from rfem_jax.report.progress_line import ProgressLine
+from rfem_jax.report.terminal.messages import ProgressLine
 
 from .conftest import STUDY
 from .test_command_line import packages  # noqa: F401

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from rfem_jax import DistributedForce, PointForce, PointMoment, PointSpring, PointSpringTable, discretise
-from rfem_jax.report.files import history_columns
-from rfem_jax.report.force_shapes import arrow, zigzag
-from rfem_jax.report.overview import _forces_text
+from rfem_jax.report.contents.files import history_columns
+from rfem_jax.report.contents.overview import _forces_text
+from rfem_jax.report.drawings.force_shapes import arrow, zigzag
+from rfem_jax.report.drawings.shapes import assembly_figure
 from rfem_jax.report.page.acting import acting_arrays, describe_acting
-from rfem_jax.report.shapes import assembly_figure
-from rfem_jax.report.study_cost import saved_times
-from rfem_jax.simulation.run import PointHistory
+from rfem_jax.report.tasks.study_cost import saved_times
+from rfem_jax.simulation.outcome.run import PointHistory
 from tests.mechanisms import four_bar
 
 FORCES = (

@@ -8,7 +8,7 @@ import pytest
 from rfem_jax import InputError, load_study
 from rfem_jax.mechanics import discretise
 from rfem_jax.report.commands import check
-from rfem_jax.report.shapes import start_figure
+from rfem_jax.report.drawings.shapes import start_figure
 
 STUDY = """
 title = "A four-bar as in a figure"

@@ -20,7 +20,7 @@ from rfem_jax import (
     simulate,
 )
 from rfem_jax.description.tasks import Tasks
-from rfem_jax.report.study_cost import STEP_SECONDS, cost_text, numbers_saved, saved_times, times_text
+from rfem_jax.report.tasks.study_cost import STEP_SECONDS, cost_text, numbers_saved, saved_times, times_text
 from rfem_jax.text_layout import size_text, time_text
 from rfem_jax.validation.clearances import flexible_four_bar
 

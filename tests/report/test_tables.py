@@ -7,9 +7,9 @@ import numpy as np
 
 from rfem_jax import JointForceTable, JointSpring
 from rfem_jax.mechanics.model.discretisation import StartHeld
-from rfem_jax.report.overview import format_error, section_text, start_text, study_text
-from rfem_jax.report.summary import summarise
-from rfem_jax.report.tables import format_numbers, format_table, results_text
+from rfem_jax.report.contents.overview import format_error, section_text, start_text, study_text
+from rfem_jax.report.contents.summary import summarise
+from rfem_jax.report.contents.tables import format_numbers, format_table, results_text
 
 from .conftest import START
 

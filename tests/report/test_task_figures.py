@@ -15,7 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.image import imread
 
 from rfem_jax import Tolerances, Uniform, load_study, monte_carlo, sensitivity
-from rfem_jax.report.pictures import write_pictures
+from rfem_jax.report.drawings.pictures import write_pictures
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.catalogue import report_on
 from rfem_jax.report.tasks.monte_carlo import _most_felt

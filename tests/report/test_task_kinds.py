@@ -15,8 +15,8 @@ from rfem_jax.description.tasks.settings import metric_names, set_fields
 from rfem_jax.description.tolerances.tolerances import error_quantities
 from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
-from rfem_jax.report.output import write_csv
-from rfem_jax.report.style import add_titles, new_figure
+from rfem_jax.report.contents.output import write_csv
+from rfem_jax.report.drawings.style import add_titles, new_figure
 from rfem_jax.report.tasks.catalogue import report_class
 from rfem_jax.report.tasks.task_files import write_task_json
 from rfem_jax.report.tasks.task_report import TaskReport

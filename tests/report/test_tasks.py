@@ -16,8 +16,9 @@ import rfem_jax.simulation
 from rfem_jax import Explicit, GeneralisedAlpha, RungeKutta4, Tolerances, load_study, monte_carlo
 from rfem_jax import worst_case as search
 from rfem_jax.compilation.stages import listening
-from rfem_jax.report import command_line, pictures
+from rfem_jax.report import command_line
 from rfem_jax.report.command_line import main
+from rfem_jax.report.drawings import pictures
 from rfem_jax.report.tasks import catalogue, study_problem, task_report
 from rfem_jax.report.tasks.task_overview import tasks_text
 from rfem_jax.tolerancing.problems import sharing

@@ -7,8 +7,8 @@ import pytest
 from rfem_jax import load_study
 from rfem_jax.compilation import keeping
 from rfem_jax.description.tasks import Tasks
-from rfem_jax.report import timings
 from rfem_jax.report.commands import steps
+from rfem_jax.report.terminal import timings
 
 from .conftest import STUDY
 from .test_tasks import TASKS

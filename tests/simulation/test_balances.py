@@ -26,7 +26,7 @@ from rfem_jax import (
     discretise,
     simulate,
 )
-from rfem_jax.simulation.remarks import BALANCE_LIMIT, REMARKABLE_BALANCE
+from rfem_jax.simulation.outcome.remarks import BALANCE_LIMIT, REMARKABLE_BALANCE
 from tests.mechanisms import four_bar, link
 
 WEIGHTLESS = (0.0, 0.0, 0.0)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
-from rfem_jax.simulation.batches import with_batch_axes
+from rfem_jax.simulation.system.batches import with_batch_axes
 
 
 def made(align):

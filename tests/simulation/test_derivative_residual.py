@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rfem_jax import GeneralisedAlpha, MomentRamp, Simulation, assembly_errors, derivative_residual, simulate
-from rfem_jax.simulation.run import RESIDUAL_LIMIT
+from rfem_jax.simulation.outcome.run import RESIDUAL_LIMIT
 from rfem_jax.simulation.solvers import implicit_step
 
 ALONG = {"D.delta_x": 2e-3, "D.d_y": 5e-4, "B.child.delta_z": 1e-3, "coupler.length": 3e-4}

@@ -19,7 +19,7 @@ from rfem_jax import (
     run_cases,
     simulate,
 )
-from rfem_jax.simulation.driving import require_driven
+from rfem_jax.simulation.system.driving import require_driven
 from tests.mechanisms import four_bar
 
 EXPLICIT, IMPLICIT = RungeKutta4(step=1e-5), GeneralisedAlpha(step=1e-3)

@@ -28,15 +28,15 @@ from rfem_jax import (
 )
 from rfem_jax.mechanics.model.model import Coordinates, State
 from rfem_jax.mechanics.model.with_errors import apply_errors
-from rfem_jax.simulation import integration
 from rfem_jax.simulation.accuracy import estimate_change, loads_of_trials
-from rfem_jax.simulation.driving import active_drives
-from rfem_jax.simulation.equations import Conditions, start_trajectory
 from rfem_jax.simulation.solvers.generalised_alpha import GeneralisedAlphaSolver
 from rfem_jax.simulation.solvers.implicit_step import StepConstants, StepStart
-from rfem_jax.simulation.stabilisation import stabilisation_of
-from rfem_jax.simulation.stepping import Integration
-from rfem_jax.simulation.time_grid import divide_time
+from rfem_jax.simulation.stages import integration
+from rfem_jax.simulation.stages.stepping import Integration
+from rfem_jax.simulation.system.driving import active_drives
+from rfem_jax.simulation.system.equations import Conditions, start_trajectory
+from rfem_jax.simulation.system.stabilisation import stabilisation_of
+from rfem_jax.simulation.system.time_grid import divide_time
 from rfem_jax.validation.reference_values import read_reference
 from tests.mechanisms import link
 

@@ -19,7 +19,7 @@ from rfem_jax import (
     simulate,
 )
 from rfem_jax.simulation import one_of
-from rfem_jax.simulation.run import Loads
+from rfem_jax.simulation.outcome.run import Loads
 from rfem_jax.validation.clearances import SOFT, WEIGHT, hung
 
 from ..mechanisms import link

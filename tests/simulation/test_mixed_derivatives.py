@@ -54,7 +54,7 @@ from rfem_jax import (
 )
 from rfem_jax.description.tolerances.error_catalogue import error_dimension
 from rfem_jax.mechanics.dynamics.loads import static_state
-from rfem_jax.simulation.driving import drive_numbers
+from rfem_jax.simulation.system.driving import drive_numbers
 from tests.evaluation import evaluated
 from tests.mechanisms import (
     BUSHING,

@@ -21,9 +21,9 @@ from rfem_jax import (
     natural_frequencies,
 )
 from rfem_jax.mechanics.model.status import STATUS
-from rfem_jax.simulation.modes import REPEATED
-from rfem_jax.simulation.stability import eigenvalues
-from rfem_jax.simulation.vibration import Vibration
+from rfem_jax.simulation.vibrations.modes import REPEATED
+from rfem_jax.simulation.vibrations.stability import eigenvalues
+from rfem_jax.simulation.vibrations.vibration import Vibration
 from tests.derivatives import check_derivatives
 from tests.evaluation import evaluated
 from tests.mechanisms import BAR, STEEL, compliant_four_bar, four_bar, link

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rfem_jax import Explicit, Simulation, State, assembly_errors, equations_of_motion, simulate
-from rfem_jax.simulation.equations import at_instant
+from rfem_jax.simulation.system.equations import at_instant
 
 TILTED = {"D.delta_x": 2e-3, "D.d_y": 1e-4}
 TOLERANCES = {"rtol": 1e-9, "atol": 1e-11}

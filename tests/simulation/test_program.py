@@ -25,7 +25,8 @@ from rfem_jax import (
 )
 from rfem_jax.mechanics.kinematics import motion as kinematics
 from rfem_jax.mechanics.model.status import DIVERGED, NOT_ASSEMBLED
-from rfem_jax.simulation import integration, simulating
+from rfem_jax.simulation import simulating
+from rfem_jax.simulation.stages import integration
 from tests.mechanisms import four_bar, link
 
 

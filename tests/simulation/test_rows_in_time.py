@@ -22,7 +22,7 @@ from rfem_jax import (
     discretise,
     simulate,
 )
-from rfem_jax.simulation.time_grid import divide_time, of_any_step
+from rfem_jax.simulation.system.time_grid import divide_time, of_any_step
 from tests.mechanisms import link
 
 TIMES, MOMENTS = (0.0, 0.02, 0.0202, 0.0204, 1.0), (0.0, 0.0, 40.0, 0.0, 0.0)

@@ -18,17 +18,18 @@ from rfem_jax import (
     simulate,
 )
 from rfem_jax.description.methods import named_method
-from rfem_jax.simulation import LeapfrogSolver, integration
-from rfem_jax.simulation.driving import active_drives
-from rfem_jax.simulation.equations import (
+from rfem_jax.simulation import LeapfrogSolver
+from rfem_jax.simulation.solvers.catalogue import observed_solver
+from rfem_jax.simulation.stages import integration
+from rfem_jax.simulation.stages.stepping import TERMS, Integration
+from rfem_jax.simulation.system.driving import active_drives
+from rfem_jax.simulation.system.equations import (
     Conditions,
     safe_sqrt,
     start_trajectory,
 )
-from rfem_jax.simulation.solvers.catalogue import observed_solver
-from rfem_jax.simulation.stabilisation import stabilisation_of
-from rfem_jax.simulation.stepping import TERMS, Integration
-from rfem_jax.simulation.time_grid import divide_time
+from rfem_jax.simulation.system.stabilisation import stabilisation_of
+from rfem_jax.simulation.system.time_grid import divide_time
 
 ERRORS = {"D.delta_x": 4e-3, "D.d_y": 2e-4}
 

@@ -21,8 +21,8 @@ from rfem_jax import (
     simulate,
 )
 from rfem_jax.description.methods import named_method
-from rfem_jax.simulation.integration import grid_for
-from rfem_jax.simulation.stability import eigenvalues
+from rfem_jax.simulation.stages.integration import grid_for
+from rfem_jax.simulation.vibrations.stability import eigenvalues
 from rfem_jax.validation.reference_values import read_reference
 
 REFERENCE = read_reference("four_bar_study")

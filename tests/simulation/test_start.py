@@ -34,9 +34,9 @@ from rfem_jax import (
     run_cases,
     simulate,
 )
-from rfem_jax.report.files import start_of, write_files
-from rfem_jax.report.summary import summarise
-from rfem_jax.simulation import integration
+from rfem_jax.report.contents.files import start_of, write_files
+from rfem_jax.report.contents.summary import summarise
+from rfem_jax.simulation.stages import integration
 from rfem_jax.simulation.unfinished import Unfinished
 from tests.mechanisms import (
     chain_of_kinds,

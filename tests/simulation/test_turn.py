@@ -8,7 +8,7 @@ import pytest
 
 from rfem_jax import InputError, Joint, Mechanism, assemble, assembly_errors, deviations, discretise, kinetostatic_turn
 from rfem_jax.mechanics.forces.bush_contacts import carrying
-from rfem_jax.simulation.turn import closed_poses, turn_over, turn_positions
+from rfem_jax.simulation.rest.turn import closed_poses, turn_over, turn_positions
 from rfem_jax.validation.clearances import TILT, flexible_four_bar
 from tests.derivatives import check_derivatives
 from tests.evaluation import evaluated

@@ -31,9 +31,9 @@ from rfem_jax.description.methods import named_method
 from rfem_jax.mechanics.dynamics.dynamics import accelerations
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.model.with_errors import apply_errors
-from rfem_jax.simulation import stability, vibration, vibration_matrices
-from rfem_jax.simulation.stepping import stabilisation_of
-from rfem_jax.simulation.vibration import Modes, Vibration
+from rfem_jax.simulation.stages.stepping import stabilisation_of
+from rfem_jax.simulation.vibrations import stability, vibration, vibration_matrices
+from rfem_jax.simulation.vibrations.vibration import Modes, Vibration
 from tests.mechanisms import four_bar, link
 
 

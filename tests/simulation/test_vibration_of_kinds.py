@@ -13,7 +13,7 @@ from rfem_jax.mechanics.dynamics.loads import static_state
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.model.orientations import moved
 from rfem_jax.mechanics.model.with_errors import apply_errors
-from rfem_jax.simulation.vibration import Vibration
+from rfem_jax.simulation.vibrations.vibration import Vibration
 from tests.mechanisms import chain_of_kinds, chain_with_balls, loop_cut_by, two_cuts_of_different_kinds
 
 

@@ -22,7 +22,7 @@ from rfem_jax import (
     assembly_errors,
     discretise,
 )
-from rfem_jax.simulation.stability import eigenvalues
+from rfem_jax.simulation.vibrations.stability import eigenvalues
 from rfem_jax.validation.reference_values import read_reference
 
 LENGTH, TIP_MASS, OFFSET, HELD = 0.8, 1.3, 0.05, 0.7

@@ -35,7 +35,7 @@ from rfem_jax import (
 )
 from rfem_jax.description.mechanism.compliance import SprungDirection
 from rfem_jax.mechanics.laws.joint_springs import compliant_spring
-from rfem_jax.simulation.stability import eigenvalues
+from rfem_jax.simulation.vibrations.stability import eigenvalues
 from rfem_jax.validation.reference_values import read_reference
 from tests.derivatives import check_derivatives
 from tests.mechanisms import BAR, NO_MASS, STEEL, link

@@ -22,7 +22,7 @@ from rfem_jax import (
     simulate,
 )
 from rfem_jax.description.methods import named_method
-from rfem_jax.simulation.stability import eigenvalues
+from rfem_jax.simulation.vibrations.stability import eigenvalues
 
 STEPS = (2e-3, 1e-3, 5e-4)
 ORDERS = {"rk4": 4, "leapfrog": 2}

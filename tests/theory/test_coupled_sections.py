@@ -24,7 +24,7 @@ from rfem_jax import (
 from rfem_jax.description.mechanism.shear_flows import shear_flow
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics.designs import designed
-from rfem_jax.simulation.statics import static_loads
+from rfem_jax.simulation.rest.statics import static_loads
 from tests.derivatives import check_derivatives
 from tests.mechanisms import STEEL
 

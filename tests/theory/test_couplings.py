@@ -25,7 +25,7 @@ from rfem_jax import (
     natural_frequencies,
     simulate,
 )
-from rfem_jax.simulation.stability import eigenvalues
+from rfem_jax.simulation.vibrations.stability import eigenvalues
 from rfem_jax.validation.geared_mechanisms import CRANK, ROD, TURN, rod_angles
 from tests.coupled_mechanisms import (
     FOLLOWER,

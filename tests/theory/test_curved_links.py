@@ -22,7 +22,7 @@ from rfem_jax import (
 from rfem_jax.mechanics.elements.elasticity import stiffness_blocks
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics.designs import designed
-from rfem_jax.simulation.modes import natural_frequencies
+from rfem_jax.simulation.vibrations.modes import natural_frequencies
 from tests.derivatives import check_derivatives
 from tests.mechanisms import STEEL
 

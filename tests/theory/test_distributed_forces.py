@@ -28,8 +28,8 @@ from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.dynamics.section_loads import loads_of_sections
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics.designs import designed
+from rfem_jax.simulation.rest.statics import at_rest
 from rfem_jax.simulation.simulating import Simulation, simulate
-from rfem_jax.simulation.statics import at_rest
 from tests.derivatives import check_derivatives
 from tests.mechanisms import arm, body, four_bar, link, released
 

@@ -31,8 +31,8 @@ from rfem_jax import (
     discretise,
     simulate,
 )
-from rfem_jax.simulation.driving import require_driven
-from rfem_jax.simulation.stability import eigenvalues
+from rfem_jax.simulation.system.driving import require_driven
+from rfem_jax.simulation.vibrations.stability import eigenvalues
 from tests.derivatives import check_derivatives
 from tests.mechanisms import body, link
 

@@ -36,7 +36,7 @@ from rfem_jax.mechanics.statics.assembly import static_loads as loads_at_rest
 from rfem_jax.mechanics.statics.designs import designed
 from rfem_jax.mechanics.statics.equilibrium_stability import free_coordinates, scaled_parts, told_by_return
 from rfem_jax.mechanics.statics.settling import settled
-from rfem_jax.simulation.modes import linearised
+from rfem_jax.simulation.vibrations.modes import linearised
 from tests import mechanisms
 from tests.evaluation import evaluated
 from tests.mechanisms import BAR, STEEL, link

@@ -29,7 +29,7 @@ from rfem_jax import (
     simulate,
 )
 from rfem_jax.mechanics.dynamics import loads
-from rfem_jax.simulation.stability import eigenvalues
+from rfem_jax.simulation.vibrations.stability import eigenvalues
 from tests.derivatives import check_derivatives
 from tests.mechanisms import body, four_bar
 

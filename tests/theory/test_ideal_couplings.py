@@ -34,8 +34,8 @@ from rfem_jax.mechanics.dynamics.loads import static_state
 from rfem_jax.mechanics.kinematics.cut_joints import closure
 from rfem_jax.mechanics.kinematics.motion import motion_of
 from rfem_jax.mechanics.model.with_errors import apply_errors
-from rfem_jax.simulation.observation import cut_drift
-from rfem_jax.simulation.stability import eigenvalues
+from rfem_jax.simulation.outcome.observation import cut_drift
+from rfem_jax.simulation.vibrations.stability import eigenvalues
 from rfem_jax.validation.geared_mechanisms import CRANK, ROD, TURN, rod_angles
 from tests.coupled_mechanisms import (
     FOLLOWER,

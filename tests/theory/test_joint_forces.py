@@ -25,8 +25,8 @@ from rfem_jax import (
 )
 from rfem_jax.mechanics.dynamics import energy_and_momentum
 from rfem_jax.mechanics.model.with_errors import apply_errors
-from rfem_jax.simulation import vibration
-from rfem_jax.simulation.stability import eigenvalues
+from rfem_jax.simulation.vibrations import vibration
+from rfem_jax.simulation.vibrations.stability import eigenvalues
 from tests.derivatives import check_derivatives
 from tests.mechanisms import body, four_bar, link, released
 

@@ -30,7 +30,7 @@ from rfem_jax.mechanics.dynamics.centre_lines import link_ends
 from rfem_jax.mechanics.dynamics.loads import static_state
 from rfem_jax.mechanics.kinematics.motion import motion_of
 from rfem_jax.mechanics.model.with_errors import apply_errors
-from rfem_jax.simulation.remarks import remarks_on
+from rfem_jax.simulation.outcome.remarks import remarks_on
 
 # L = E I = G J = 1; without shear and stretch.
 SECTION = GivenSection(1e6, 1e6, 1e6, 1.0, 1.0, 1.0, 1e-9, 1e-15, 1e-15, 1e-15)

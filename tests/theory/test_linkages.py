@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from rfem_jax import Joint, Mechanism, PointForce, discretise, inverse_dynamics, static_loads
 from rfem_jax.description.metrics.catalogue import metric_of
-from rfem_jax.simulation.poses import poses_at
+from rfem_jax.simulation.rest.poses import poses_at
 from rfem_jax.validation import straight_lines
 from rfem_jax.validation.lines import PASS
 from rfem_jax.validation.straight_lines import PLACES, four_bar, hoecken

@@ -23,7 +23,7 @@ from rfem_jax import (
     discretise,
     largest_stable_step,
 )
-from rfem_jax.simulation.stability import eigenvalues
+from rfem_jax.simulation.vibrations.stability import eigenvalues
 from tests.mechanisms import body, link, released
 
 MASS, STIFFNESS, DAMPING, FREE, PRELOAD, START = 0.5, 80.0, 2.5, 0.6, 3.0, 0.24

@@ -34,7 +34,7 @@ from rfem_jax.mechanics.dynamics.dynamics import accelerations
 from rfem_jax.mechanics.model.errors import assembly_errors
 from rfem_jax.mechanics.model.inputs import DriveInput, Stabilisation
 from rfem_jax.mechanics.model.with_errors import apply_errors
-from rfem_jax.simulation.stability import eigenvalues
+from rfem_jax.simulation.vibrations.stability import eigenvalues
 from tests.derivatives import check_derivatives
 from tests.mechanisms import STEEL, four_bar, slender
 

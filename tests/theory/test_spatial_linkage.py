@@ -25,7 +25,7 @@ from rfem_jax import (
     load_study,
     simulate,
 )
-from rfem_jax.report.overview import study_text
+from rfem_jax.report.contents.overview import study_text
 
 STUDY = Path(__file__).parents[2] / "studies" / "spatial_linkage" / "study.toml"
 RATE, DURATION = 10.0 * np.pi, 0.2  # one revolution

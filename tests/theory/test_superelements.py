@@ -45,8 +45,8 @@ from rfem_jax.mechanics.model.inputs import DriveInput
 from rfem_jax.mechanics.model.model import Coordinates, State
 from rfem_jax.mechanics.model.orientations import position_rate
 from rfem_jax.mechanics.model.with_errors import apply_errors
-from rfem_jax.simulation.modes import linearised
-from rfem_jax.simulation.vibration import Vibration
+from rfem_jax.simulation.vibrations.modes import linearised
+from rfem_jax.simulation.vibrations.vibration import Vibration
 from tests.derivatives import check_derivatives, jacobians
 from tests.frames_of_beams import (
     AREA,

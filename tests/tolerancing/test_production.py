@@ -23,7 +23,7 @@ from rfem_jax import (
     load_study,
     simulate,
 )
-from rfem_jax.simulation.run import Run
+from rfem_jax.simulation.outcome.run import Run
 from rfem_jax.tolerancing.identification.production import (
     Likelihoods,
     _interval,

@@ -29,8 +29,8 @@ from rfem_jax import (
 )
 from rfem_jax.compilation import program
 from rfem_jax.description.methods import named_method
-from rfem_jax.simulation.integration import grid_for
-from rfem_jax.simulation.time_grid import of_any_step
+from rfem_jax.simulation.stages.integration import grid_for
+from rfem_jax.simulation.system.time_grid import of_any_step
 from rfem_jax.tolerancing.problems.evaluation import evaluate_points, split_errors
 from rfem_jax.tolerancing.problems.linearisation import linearise_points
 from rfem_jax.tolerancing.problems.quadratic_model import expand_by_differences

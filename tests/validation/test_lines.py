@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from rfem_jax import InputError
-from rfem_jax.report import validation_command
 from rfem_jax.report.command_line import main
-from rfem_jax.report.validation_tables import benchmark_text, markdown, write_validation
+from rfem_jax.report.validation import validation_command
+from rfem_jax.report.validation.validation_tables import benchmark_text, markdown, write_validation
 from rfem_jax.validation import catalogue
 from rfem_jax.validation.lines import (
     Benchmark,

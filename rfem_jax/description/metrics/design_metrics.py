@@ -2,8 +2,8 @@
 
 Place in the pipeline: metric_catalogue -> **design_metrics**, which registers them when the package is imported.
 
-What they read of `run.recorded` is recorded for them alone (`rfem_jax.simulation.records`). Largest values are p-norms
-over the saved times: smooth, and near the maximum within the bounds of theory (8.12) and (8.13).
+What they read of `run.recorded` is recorded for them alone (`rfem_jax.simulation.outcome.records`). Largest values are
+p-norms over the saved times: smooth, and near the maximum within the bounds of theory (8.12) and (8.13).
 """
 
 from collections.abc import Callable

@@ -1,7 +1,8 @@
 """All metrics with their units, what they mean and what has them: the reference that `rfem-jax keys metrics` prints.
 
 Place in the pipeline: metric_catalogue, design_metrics, metric_subjects -> **metric_reference** ->
-`rfem_jax.report.keys_text`, docs/reference/metrics.md. What has a metric is asked of the functions that refuse it.
+`rfem_jax.report.contents.keys_text`, docs/reference/metrics.md. What has a metric is asked of the functions that refuse
+it.
 """
 
 from dataclasses import dataclass

@@ -1,7 +1,7 @@
 """All keys of a study file, as its reader knows them: the reference that `rfem-jax keys` prints.
 
-Place in the pipeline: study_reader, tasks -> **key_reference** -> `rfem_jax.report.keys_text`. A table's keys are the
-arguments of a class, and what they mean is said in that class's docstring; what differs in a file is said here.
+Place in the pipeline: study_reader, tasks -> **key_reference** -> `rfem_jax.report.contents.keys_text`. A table's keys
+are the arguments of a class, and what they mean is said in that class's docstring; what differs in a file is said here.
 """
 
 import inspect

@@ -13,8 +13,8 @@ from rfem_jax.description.parameters.parameters import parameters_of
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.mechanics.model.errors import Deviations
 from rfem_jax.mechanics.model.model import Model
-from rfem_jax.report.output import write_json
-from rfem_jax.report.summary import reaction_norm, study_note
+from rfem_jax.report.contents.output import write_json
+from rfem_jax.report.contents.summary import reaction_norm, study_note
 from rfem_jax.simulation import cases
 
 

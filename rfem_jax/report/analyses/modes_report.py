@@ -24,13 +24,13 @@ from rfem_jax.mechanics.model.status import STATUS
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics.designs import designed
 from rfem_jax.report.analyses.analysis import error_names, errors_of_cases, write_analysis
-from rfem_jax.report.annotations import Figure
-from rfem_jax.report.output import write_csv
-from rfem_jax.report.pictures import drawn, write_pictures
-from rfem_jax.report.style import add_titles, new_figure
-from rfem_jax.report.summary import in_legend, marked
-from rfem_jax.report.tables import format_table, title_text
-from rfem_jax.simulation.modes import REPEATED, NaturalModes, natural_frequencies
+from rfem_jax.report.contents.annotations import Figure
+from rfem_jax.report.contents.output import write_csv
+from rfem_jax.report.contents.summary import in_legend, marked
+from rfem_jax.report.contents.tables import format_table, title_text
+from rfem_jax.report.drawings.pictures import drawn, write_pictures
+from rfem_jax.report.drawings.style import add_titles, new_figure
+from rfem_jax.simulation.vibrations.modes import REPEATED, NaturalModes, natural_frequencies
 
 AMPLITUDE = 0.1  # of a drawn mode, over the size of the mechanism
 ROUNDING = 1e-12  # of a frequency, in its derivative by the unit of an error

@@ -20,14 +20,14 @@ from rfem_jax.mechanics.model.errors import Deviations
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.status import STATUS
 from rfem_jax.report.analyses.analysis import errors_of_cases
-from rfem_jax.report.files import contact_columns, coupling_columns
-from rfem_jax.report.output import write_csv, write_json
-from rfem_jax.report.summary import reaction_norm, study_note
-from rfem_jax.report.tables import title_text
-from rfem_jax.simulation.labelled_statics import LabelledStatics, status_name
-from rfem_jax.simulation.poses import ClosedPose, poses_at
-from rfem_jax.simulation.records import require_records
-from rfem_jax.simulation.statics import StaticLoads, static_loads_at, usual_records
+from rfem_jax.report.contents.files import contact_columns, coupling_columns
+from rfem_jax.report.contents.output import write_csv, write_json
+from rfem_jax.report.contents.summary import reaction_norm, study_note
+from rfem_jax.report.contents.tables import title_text
+from rfem_jax.simulation.outcome.records import require_records
+from rfem_jax.simulation.rest.labelled_statics import LabelledStatics, status_name
+from rfem_jax.simulation.rest.poses import ClosedPose, poses_at
+from rfem_jax.simulation.rest.statics import StaticLoads, static_loads_at, usual_records
 
 
 def compute_statics(study: Study, model: Model) -> LabelledStatics:

@@ -23,17 +23,17 @@ from rfem_jax.mechanics.model.errors import Deviations
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.planar_loops import model_reactions_text
 from rfem_jax.report.analyses.analysis import errors_of_cases, write_analysis
-from rfem_jax.report.annotations import Figure
-from rfem_jax.report.files import contact_columns, coupling_load_columns
-from rfem_jax.report.output import write_csv
-from rfem_jax.report.pictures import drawn, write_pictures
-from rfem_jax.report.style import add_titles, line_style, new_figure
-from rfem_jax.report.summary import in_legend, joint_names, marked
-from rfem_jax.report.tables import format_table, title_text
-from rfem_jax.simulation.labelled_turn import LabelledTurn
-from rfem_jax.simulation.poses import ClosedPose
-from rfem_jax.simulation.remarks import linear_remark
-from rfem_jax.simulation.turn import Turn, closed_poses, turn_over
+from rfem_jax.report.contents.annotations import Figure
+from rfem_jax.report.contents.files import contact_columns, coupling_load_columns
+from rfem_jax.report.contents.output import write_csv
+from rfem_jax.report.contents.summary import in_legend, joint_names, marked
+from rfem_jax.report.contents.tables import format_table, title_text
+from rfem_jax.report.drawings.pictures import drawn, write_pictures
+from rfem_jax.report.drawings.style import add_titles, line_style, new_figure
+from rfem_jax.simulation.outcome.remarks import linear_remark
+from rfem_jax.simulation.rest.labelled_turn import LabelledTurn
+from rfem_jax.simulation.rest.poses import ClosedPose
+from rfem_jax.simulation.rest.turn import Turn, closed_poses, turn_over
 from rfem_jax.text_layout import wrap_lines
 
 

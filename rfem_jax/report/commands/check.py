@@ -8,11 +8,11 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from rfem_jax.report.annotations import Model, Study
 from rfem_jax.report.commands.command import CASE_FAILED, DONE, Answer, Command, add_cache, add_study
 from rfem_jax.report.commands.folders import open_folder, require_folder, writing_into
 from rfem_jax.report.commands.steps import announce, discretise_study, read_study, settle_method
-from rfem_jax.report.progress_line import show
+from rfem_jax.report.contents.annotations import Model, Study
+from rfem_jax.report.terminal.messages import show
 
 STRUCTURE = (
     "coordinates",
@@ -61,7 +61,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     if accuracy is None:
         return Answer(document=document)
 
-    from rfem_jax.report.mesh_report import convergence_document, convergence_text, study_convergence
+    from rfem_jax.report.tasks.mesh_report import convergence_document, convergence_text, study_convergence
 
     found = study_convergence(study, accuracy)
     show("\n" + convergence_text(found))
@@ -71,8 +71,8 @@ def act(arguments: argparse.Namespace) -> Answer:
 def _describe(study: Study, model: Model, picture: Path | None) -> dict[str, Any]:
     """Show what was understood and what it costs, and draw the start; what of it goes into the document."""
     from rfem_jax.mechanics import describe
-    from rfem_jax.report.overview import closed_text, design_text, opening_text, study_text
-    from rfem_jax.report.study_cost import cost_text
+    from rfem_jax.report.contents.overview import closed_text, design_text, opening_text, study_text
+    from rfem_jax.report.tasks.study_cost import cost_text
     from rfem_jax.report.tasks.task_overview import tasks_text
 
     structure = describe(model)
@@ -92,7 +92,7 @@ def _describe(study: Study, model: Model, picture: Path | None) -> dict[str, Any
 def _look_at_motion(study: Study, model: Model, document: dict[str, Any]) -> tuple[Study, dict[str, Any]]:
     """Show the largest stable step, the time that the cases take, and where the drive's motion ends; the study with the
     method that "auto" stands for, and the document with these."""
-    from rfem_jax.report.study_cost import times_text
+    from rfem_jax.report.tasks.study_cost import times_text
     from rfem_jax.simulation import check_step, drive_limit
 
     if model.topology.massless:
@@ -162,10 +162,10 @@ def _picture_file(path: str) -> Path:
 
 def _draw_start(study: Study, model: Model, file: Path) -> None:
     """Draw the mechanism at its start into a file."""
-    from rfem_jax.report.pictures import drawn, write_pictures
+    from rfem_jax.report.drawings.pictures import drawn, write_pictures
 
     def write() -> list[Path]:
-        from rfem_jax.report.shapes import start_figure
+        from rfem_jax.report.drawings.shapes import start_figure
 
         return write_pictures(file.parent, {file.stem: start_figure(study, model)})
 

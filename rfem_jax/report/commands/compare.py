@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 from rfem_jax.report.commands.command import Answer, Command
 from rfem_jax.report.commands.folders import open_folder, writing_into
-from rfem_jax.report.progress_line import paint, show
+from rfem_jax.report.terminal.messages import paint, show
 
 if TYPE_CHECKING:
-    from rfem_jax.report.comparison import Comparison
+    from rfem_jax.report.contents.comparison import Comparison
 else:
     Comparison = Any  # takes long to import
 
@@ -39,7 +39,7 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def act(arguments: argparse.Namespace) -> Answer:
     """Read, compare, print, write. Raises InputError."""
-    from rfem_jax.report.output import write_csv, write_json
+    from rfem_jax.report.contents.output import write_csv, write_json
     from rfem_jax.report.task_comparison import compare_tasks
 
     folders = [Path(one) for one in arguments.folders]
@@ -69,7 +69,7 @@ def act(arguments: argparse.Namespace) -> Answer:
 
 def _compare_results(folders: list[Path], tasks: bool) -> Comparison:
     """The loads; nothing where neither folder has any, but both have results of tasks. Raises InputError."""
-    from rfem_jax.report.comparison import RESULTS, Comparison, compare_results, read_results
+    from rfem_jax.report.contents.comparison import RESULTS, Comparison, compare_results, read_results
 
     if tasks and not any((folder / RESULTS).exists() for folder in folders):
         return Comparison((), ("Neither has loads of cases.",))

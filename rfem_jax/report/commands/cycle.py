@@ -9,7 +9,6 @@ import time
 from dataclasses import replace
 from typing import Any
 
-from rfem_jax.report.annotations import Cycle, Study
 from rfem_jax.report.commands.command import Answer, Command, add_axes, add_motion, add_study_and_folder
 from rfem_jax.report.commands.folders import open_folder, require_folder, writing_into
 from rfem_jax.report.commands.run import write_run_animation, write_run_pictures
@@ -21,7 +20,8 @@ from rfem_jax.report.commands.steps import (
     read_study,
     settle_method,
 )
-from rfem_jax.report.progress_line import note, show
+from rfem_jax.report.contents.annotations import Cycle, Study
+from rfem_jax.report.terminal.messages import note, show
 
 
 def command() -> Command:
@@ -51,9 +51,9 @@ def act(arguments: argparse.Namespace) -> Answer:
     study = _of_one_revolution(read_study(arguments.study))
 
     from rfem_jax.report.analyses.analysis import write_analysis
-    from rfem_jax.report.files import write_files
-    from rfem_jax.report.summary import readable, summarise
-    from rfem_jax.report.tables import results_text
+    from rfem_jax.report.contents.files import write_files
+    from rfem_jax.report.contents.summary import readable, summarise
+    from rfem_jax.report.contents.tables import results_text
     from rfem_jax.simulation import STATUS
     from rfem_jax.simulation.cycle import require_constant_rate
 

@@ -7,11 +7,11 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from rfem_jax.report.annotations import Study
 from rfem_jax.report.commands.command import CASE_FAILED, DONE, Answer, Command, add_study
 from rfem_jax.report.commands.folders import write_new
 from rfem_jax.report.commands.steps import announce, read_study, settle_method
-from rfem_jax.report.progress_line import remark, show
+from rfem_jax.report.contents.annotations import Study
+from rfem_jax.report.terminal.messages import remark, show
 
 ENDINGS = {"frames": ".csv", "mjcf": ".xml", "urdf": ".urdf", "exudyn": ".py", "drawing": "_drawing.csv"}
 
@@ -134,8 +134,8 @@ def _verify_motion(text: str, study: Study, case: str | None) -> dict[str, Any]:
     """Run the file in MuJoCo and the study with rigid links, and show the motions of both."""
     from rfem_jax.exchange.mujoco_motion import compared, rigid_study
     from rfem_jax.exchange.study_layout import layout_of
-    from rfem_jax.report.output import plain
-    from rfem_jax.report.tables import format_table
+    from rfem_jax.report.contents.output import plain
+    from rfem_jax.report.contents.tables import format_table
 
     layout = layout_of(study, case)
     rigid = settle_method(rigid_study(study, case, layout))
@@ -158,7 +158,7 @@ def _verify_motion(text: str, study: Study, case: str | None) -> dict[str, Any]:
 def _verify_loads(text: str, study: Study, case: str | None) -> dict[str, dict[str, float]]:
     """Run the script and the study, and show the RMS loads of both."""
     from rfem_jax.exchange.exudyn_writer import verified
-    from rfem_jax.report.tables import format_table
+    from rfem_jax.report.contents.tables import format_table
 
     settled = study if study.method.name != "auto" else settle_method(study)
     announce("Running both")

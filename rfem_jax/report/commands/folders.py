@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from rfem_jax.report.console import work_begins
+from rfem_jax.report.terminal.console import work_begins
 
 FIX = "choose another one or free some space"
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rfem_jax.report.commands.command import Answer, Command
 from rfem_jax.report.commands.folders import write_study
-from rfem_jax.report.progress_line import show
+from rfem_jax.report.terminal.messages import show
 
 
 def command() -> Command:

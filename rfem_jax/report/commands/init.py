@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rfem_jax.report.commands.command import Answer, Command
 from rfem_jax.report.commands.folders import write_study
-from rfem_jax.report.progress_line import show
+from rfem_jax.report.terminal.messages import show
 
 KINDS = ("four-bar", "slider-crank", "six-bar", "cam", "geared-five-bar", "planetary")
 

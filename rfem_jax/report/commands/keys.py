@@ -6,7 +6,7 @@ Place in the pipeline: `rfem_jax.description.study_file.key_reference` -> `keys_
 import argparse
 
 from rfem_jax.report.commands.command import Answer, Command
-from rfem_jax.report.progress_line import show
+from rfem_jax.report.terminal.messages import show
 
 
 def command() -> Command:
@@ -41,7 +41,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     from dataclasses import asdict
 
     from rfem_jax.description.study_file.schema import schema_text, study_schema
-    from rfem_jax.report.keys_text import chosen_metrics, chosen_tables, reference_text
+    from rfem_jax.report.contents.keys_text import chosen_metrics, chosen_tables, reference_text
 
     if arguments.schema:
         show(schema_text().rstrip())

@@ -9,7 +9,7 @@ import time
 from rfem_jax.report.commands.command import Answer, Command, add_study_and_folder
 from rfem_jax.report.commands.folders import open_folder, require_folder, writing_into
 from rfem_jax.report.commands.steps import announce, discretise_study, finish, prepare_pictures, read_study
-from rfem_jax.report.progress_line import show
+from rfem_jax.report.terminal.messages import show
 
 
 def command() -> Command:

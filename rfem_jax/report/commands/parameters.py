@@ -7,7 +7,7 @@ import argparse
 
 from rfem_jax.report.commands.command import Answer, Command, add_study
 from rfem_jax.report.commands.steps import read_study
-from rfem_jax.report.progress_line import show
+from rfem_jax.report.terminal.messages import show
 
 
 def command() -> Command:
@@ -34,7 +34,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     from rfem_jax.description.drives.numbers_by_name import drive_number_unit, drive_number_value, each_drive_number
     from rfem_jax.description.parameters.parameters import parameters_of
     from rfem_jax.description.parameters.parts import parts_of
-    from rfem_jax.report.tables import format_table
+    from rfem_jax.report.contents.tables import format_table
 
     parts = parts_of(study.mechanism)
     found = {one.name: (one.value_in(parts), one.unit) for one in parameters_of(study.mechanism).all}

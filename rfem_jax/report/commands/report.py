@@ -7,7 +7,7 @@ import argparse
 
 from rfem_jax.report.commands.command import Answer, Command
 from rfem_jax.report.commands.folders import writing_into
-from rfem_jax.report.progress_line import show
+from rfem_jax.report.terminal.messages import show
 
 
 def command() -> Command:

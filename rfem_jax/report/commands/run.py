@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rfem_jax.report.annotations import Run, Study, Summaries
 from rfem_jax.report.commands.command import Answer, Command, Interrupted, add_axes, add_motion, add_study_and_folder
 from rfem_jax.report.commands.folders import open_folder, require_folder, writing_into
 from rfem_jax.report.commands.steps import (
@@ -26,7 +25,8 @@ from rfem_jax.report.commands.steps import (
     timed,
     write_task,
 )
-from rfem_jax.report.progress_line import paint, remark, show
+from rfem_jax.report.contents.annotations import Run, Study, Summaries
+from rfem_jax.report.terminal.messages import paint, remark, show
 from rfem_jax.task_kinds import task_kinds
 
 UNFINISHED = "unfinished_cases.npz"
@@ -59,10 +59,10 @@ def act(arguments: argparse.Namespace) -> Answer:
     study = read_study(arguments.study)
 
     from rfem_jax.mechanics.model.status import PAST_LIMIT
-    from rfem_jax.report.files import start_of, write_files
-    from rfem_jax.report.overview import start_text
-    from rfem_jax.report.summary import readable, summarise
-    from rfem_jax.report.tables import results_text
+    from rfem_jax.report.contents.files import start_of, write_files
+    from rfem_jax.report.contents.overview import start_text
+    from rfem_jax.report.contents.summary import readable, summarise
+    from rfem_jax.report.contents.tables import results_text
     from rfem_jax.simulation import STATUS
     from rfem_jax.text_layout import wrap_lines
 
@@ -167,10 +167,10 @@ def _simulate(study: Study, folder: Path) -> dict[str, Run]:
 
 def write_run_pictures(folder: Path, study: Study, runs: dict[str, Run], summaries: Summaries) -> list[Path]:
     """Draw the pictures of a run, unless matplotlib is missing, which is said."""
-    from rfem_jax.report.pictures import drawn
+    from rfem_jax.report.drawings.pictures import drawn
 
     def write():
-        from rfem_jax.report.figures import write_figures
+        from rfem_jax.report.drawings.figures import write_figures
 
         return write_figures(folder, study, runs, summaries)
 
@@ -187,7 +187,7 @@ def write_run_animation(folder: Path, runs: dict[str, Run], formats: Sequence[st
         return []
     written = [write_arrays(folder, *records)]
     if formats:
-        from rfem_jax.report.motion_files import write_motions
+        from rfem_jax.report.contents.motion_files import write_motions
 
         written += write_motions(folder, runs, records, formats)
     return written

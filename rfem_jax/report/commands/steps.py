@@ -12,10 +12,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from rfem_jax.report.annotations import Model, Study
 from rfem_jax.report.commands.command import CASE_FAILED, DONE, Answer, Interrupted
 from rfem_jax.report.commands.folders import cannot_write, writing_into
-from rfem_jax.report.progress_line import note, paint, remark, say, show
+from rfem_jax.report.contents.annotations import Model, Study
+from rfem_jax.report.terminal.messages import note, paint, remark, say, show
 
 
 def announce(stage: str, done: float | None = None) -> None:
@@ -125,7 +125,7 @@ def timed(study: Study, task: str = "", left: str = "") -> Iterator[None]:
     """In which a task of a study ("": its cases) is done: says before how long that will take, and records what it took
     for the next time. `left`: what an interrupted run has left, with which it takes less."""
     from rfem_jax.compilation import keeping
-    from rfem_jax.report import timings
+    from rfem_jax.report.terminal import timings
 
     key, samples = timings.key_of(study, task), timings.samples_of(study, task)
     if task:
@@ -179,13 +179,13 @@ def require_task_folders(study: Study, tasks: Sequence[str], out: str | Path) ->
 def prepare_pictures(many: bool = True) -> None:
     """Import what pictures need in the background, while something is computed; `many`: in the process that draws half
     of them, too."""
-    from rfem_jax.report.pictures import draw_beside
+    from rfem_jax.report.drawings.pictures import draw_beside
 
     def load():
         with suppress(Exception):  # said where they are drawn
             import matplotlib.backends.backend_agg  # noqa: F401
 
-            import rfem_jax.report.figures  # noqa: F401
+            import rfem_jax.report.drawings.figures  # noqa: F401
 
     if many:
         draw_beside()

@@ -8,7 +8,6 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from rfem_jax.report.annotations import Study
 from rfem_jax.report.commands.command import (
     CASE_FAILED,
     DONE,
@@ -27,6 +26,7 @@ from rfem_jax.report.commands.steps import (
     settle_method,
     write_task,
 )
+from rfem_jax.report.contents.annotations import Study
 from rfem_jax.task_kinds import TaskKind, task_kinds
 
 

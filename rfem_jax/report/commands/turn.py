@@ -7,11 +7,11 @@ import argparse
 import time
 from typing import Any
 
-from rfem_jax.report.annotations import Model
 from rfem_jax.report.commands.command import Answer, Command, add_axes, add_study_and_folder
 from rfem_jax.report.commands.folders import open_folder, require_folder, writing_into
 from rfem_jax.report.commands.steps import announce, discretise_study, finish, prepare_pictures, read_study
-from rfem_jax.report.progress_line import show
+from rfem_jax.report.contents.annotations import Model
+from rfem_jax.report.terminal.messages import show
 
 
 def command() -> Command:
@@ -41,7 +41,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     study = read_study(arguments.study)
 
     from rfem_jax.report.analyses import turn_report as report
-    from rfem_jax.simulation.turn import turn_positions
+    from rfem_jax.simulation.rest.turn import turn_positions
 
     require_folder(arguments.out)
     model = discretise_study(study)

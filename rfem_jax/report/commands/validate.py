@@ -8,8 +8,8 @@ import argparse
 from rfem_jax.report.commands.command import CASE_FAILED, DONE, Answer, Command, Interrupted, add_cache
 from rfem_jax.report.commands.folders import cannot_write, open_folder
 from rfem_jax.report.commands.steps import announce, files_document
-from rfem_jax.report.console import work_begins
-from rfem_jax.report.progress_line import show
+from rfem_jax.report.terminal.console import work_begins
+from rfem_jax.report.terminal.messages import show
 
 
 def command() -> Command:
@@ -33,8 +33,8 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def act(arguments: argparse.Namespace) -> Answer:
     """Compute, print, write. Raises InputError."""
-    from rfem_jax.report.validation_command import Stopped, validate
-    from rfem_jax.report.validation_tables import has_failed, line_rows
+    from rfem_jax.report.validation.validation_command import Stopped, validate
+    from rfem_jax.report.validation.validation_tables import has_failed, line_rows
 
     folder = None if arguments.out is None else open_folder(arguments.out)
     work_begins()

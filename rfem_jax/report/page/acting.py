@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from rfem_jax.mechanics.laws.point_laws import GivenLoad
-from rfem_jax.report.annotations import Run
+from rfem_jax.report.contents.annotations import Run
 
 ACTING = ("force_first", "force_place", "force_value")
 

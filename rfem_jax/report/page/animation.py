@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rfem_jax.mechanics.model.topology import BASE
-from rfem_jax.report.annotations import Run
+from rfem_jax.report.contents.annotations import Run
 from rfem_jax.report.page.acting import ACTING, acting_arrays, describe_acting, owner_of
 from rfem_jax.report.page.packing import Packed, pack_integers, some_rows
 from rfem_jax.report.page.task_results import damaged

@@ -16,7 +16,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from rfem_jax.report.output import without_nan
+from rfem_jax.report.contents.output import without_nan
 from rfem_jax.whole_files import write_text
 
 ASSETS = Path(__file__).parent / "assets"

@@ -15,7 +15,7 @@ from rfem_jax.description.tolerances.error_catalogue import error_unit
 from rfem_jax.report.page.animation import pack_animation, read_animation
 from rfem_jax.report.page.histories import pack_histories, read_table
 from rfem_jax.report.page.task_results import read_json, read_tasks
-from rfem_jax.simulation.quantities import CHECKS, DRIVEN_JOINT, JOINT_METRICS, PRELOADS, Quantity
+from rfem_jax.simulation.outcome.quantities import CHECKS, DRIVEN_JOINT, JOINT_METRICS, PRELOADS, Quantity
 
 RESULTS = "results.json"
 

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from rfem_jax.description.metrics.shaking_metrics import RECORD
 from rfem_jax.mechanics.dynamics.load_axes import AXES
 from rfem_jax.report.page.packing import pack_floats, some_rows
-from rfem_jax.simulation.quantities import ENERGIES
+from rfem_jax.simulation.outcome.quantities import ENERGIES
 
 MOST_ROWS = 2001  # of a case
 MOST_NUMBERS = 220_000  # of all cases, four bytes each

@@ -1,6 +1,6 @@
 """The page of one run, for notebooks.
 
-Place in the pipeline: `rfem_jax.simulation.run` -> **run_page** -> document.
+Place in the pipeline: `rfem_jax.simulation.outcome.run` -> **run_page** -> document.
 """
 
 from pathlib import Path
@@ -11,16 +11,16 @@ import numpy as np
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.tolerances.error_catalogue import BOWS
 from rfem_jax.mechanics.model.status import STATUS
-from rfem_jax.report.files import path_columns, shaking_columns
-from rfem_jax.report.output import versions, without_nan
+from rfem_jax.report.contents.files import path_columns, shaking_columns
+from rfem_jax.report.contents.output import versions, without_nan
+from rfem_jax.report.contents.summary import readable
 from rfem_jax.report.page.animation import pack_animation, record_animation
 from rfem_jax.report.page.document import write_document
 from rfem_jax.report.page.folder import case_rows, page_head
 from rfem_jax.report.page.histories import Columns, pack_histories
-from rfem_jax.report.summary import readable
-from rfem_jax.simulation.quantities import CHECKS, DRIVEN_JOINT, ENERGIES, JOINT_METRICS, PRELOADS, column_name
-from rfem_jax.simulation.remarks import remarks_on
-from rfem_jax.simulation.run import Run
+from rfem_jax.simulation.outcome.quantities import CHECKS, DRIVEN_JOINT, ENERGIES, JOINT_METRICS, PRELOADS, column_name
+from rfem_jax.simulation.outcome.remarks import remarks_on
+from rfem_jax.simulation.outcome.run import Run
 
 CASE = "run"
 FILE = "report.html"

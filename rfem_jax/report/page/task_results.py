@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from rfem_jax.description.basics.errors import InputError
-from rfem_jax.report.output import without_nan
+from rfem_jax.report.contents.output import without_nan
 from rfem_jax.report.page.histories import read_table
 from rfem_jax.report.page.packing import pack_floats, some_rows
 from rfem_jax.task_kinds import task_kinds

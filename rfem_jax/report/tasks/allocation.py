@@ -18,13 +18,13 @@ from rfem_jax.compilation.stages import on_stage
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.allocation import AllocationTask
 from rfem_jax.description.tolerances.error_catalogue import as_specified
-from rfem_jax.report.annotations import Figure
-from rfem_jax.report.output import write_csv
-from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles, new_figure
+from rfem_jax.report.contents.annotations import Figure
+from rfem_jax.report.contents.output import write_csv
+from rfem_jax.report.drawings.style import CASE_COLOURS, MARKERS, add_titles, new_figure
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.solution_report import SolutionReport
 from rfem_jax.report.tasks.task_files import write_task_json
-from rfem_jax.simulation.quantities import column_name
+from rfem_jax.simulation.outcome.quantities import column_name
 from rfem_jax.text_layout import align_columns
 from rfem_jax.tolerancing.problems.distributions import DISTRIBUTIONS
 from rfem_jax.tolerancing.robust_design.allocation import allocate

@@ -9,8 +9,8 @@ from typing import Any
 
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.study_file.study import Study
-from rfem_jax.report.progress_line import remark
 from rfem_jax.report.tasks.task_report import TaskReport
+from rfem_jax.report.terminal.messages import remark
 from rfem_jax.task_kinds import task_kinds
 
 

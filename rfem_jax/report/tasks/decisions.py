@@ -14,8 +14,8 @@ from rfem_jax.compilation.stages import on_stage
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.correction import AskedCorrection
 from rfem_jax.description.tolerances.error_catalogue import as_specified
-from rfem_jax.report.annotations import Figure
-from rfem_jax.report.style import CASE_COLOURS, LINE_STYLES, MARKERS, add_titles, new_figure
+from rfem_jax.report.contents.annotations import Figure
+from rfem_jax.report.drawings.style import CASE_COLOURS, LINE_STYLES, MARKERS, add_titles, new_figure
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.monte_carlo import scatter_matrix
 from rfem_jax.tolerancing.identification.correction import correct

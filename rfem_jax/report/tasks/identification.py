@@ -18,9 +18,9 @@ from rfem_jax.description.study_file.study import Study, load_study
 from rfem_jax.description.tasks.identification import IdentificationTask, Sensor, unit_of_column
 from rfem_jax.description.tolerances.error_catalogue import as_specified
 from rfem_jax.mechanics.statics.designs import model_of_study
-from rfem_jax.report.annotations import Figure
-from rfem_jax.report.output import write_csv
-from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles, new_figure, panel_grid
+from rfem_jax.report.contents.annotations import Figure
+from rfem_jax.report.contents.output import write_csv
+from rfem_jax.report.drawings.style import CASE_COLOURS, MARKERS, add_titles, new_figure, panel_grid
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.decisions import (
     corrected,

@@ -17,9 +17,9 @@ from rfem_jax.compilation.stages import on_stage
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.monte_carlo import MonteCarloTask
 from rfem_jax.description.tolerances.error_catalogue import as_specified
-from rfem_jax.report.annotations import Axes, Figure
-from rfem_jax.report.output import write_csv
-from rfem_jax.report.style import (
+from rfem_jax.report.contents.annotations import Axes, Figure
+from rfem_jax.report.contents.output import write_csv
+from rfem_jax.report.drawings.style import (
     BAR_COLOURS,
     CASE_COLOURS,
     LINE_STYLES,

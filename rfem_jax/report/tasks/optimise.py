@@ -13,13 +13,13 @@ import jax
 from rfem_jax.compilation.stages import on_stage
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.tasks.optimise import OptimiseTask
-from rfem_jax.report.annotations import Figure
-from rfem_jax.report.output import write_csv
-from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles, new_figure
+from rfem_jax.report.contents.annotations import Figure
+from rfem_jax.report.contents.output import write_csv
+from rfem_jax.report.drawings.style import CASE_COLOURS, MARKERS, add_titles, new_figure
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.solution_report import SolutionReport
 from rfem_jax.report.tasks.task_files import write_task_json
-from rfem_jax.simulation.quantities import column_name
+from rfem_jax.simulation.outcome.quantities import column_name
 from rfem_jax.text_layout import align_columns
 from rfem_jax.tolerancing.layout import show_number
 from rfem_jax.tolerancing.problems.distributions import DISTRIBUTIONS

@@ -8,8 +8,8 @@ import math
 import numpy as np
 
 from rfem_jax.description.study_file.study import Study
-from rfem_jax.report.annotations import Axes, Figure
-from rfem_jax.report.style import BAR_COLOURS, CASE_COLOURS, add_titles, new_figure
+from rfem_jax.report.contents.annotations import Axes, Figure
+from rfem_jax.report.drawings.style import BAR_COLOURS, CASE_COLOURS, add_titles, new_figure
 from rfem_jax.tolerancing.sampling.path_band import PathBand
 
 MILLI = 1e3

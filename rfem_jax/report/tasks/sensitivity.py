@@ -15,8 +15,8 @@ from rfem_jax.description.metrics.catalogue import kinked, only_at_start
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.sensitivity import SensitivityTask
 from rfem_jax.description.tolerances.error_catalogue import as_specified
-from rfem_jax.report.annotations import Figure
-from rfem_jax.report.style import BAR_COLOURS, HATCHES, add_titles, new_figure, panel_grid
+from rfem_jax.report.contents.annotations import Figure
+from rfem_jax.report.drawings.style import BAR_COLOURS, HATCHES, add_titles, new_figure, panel_grid
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_files import metric_units
 from rfem_jax.report.tasks.task_report import GRADIENT, TaskReport, as_stage

@@ -6,8 +6,8 @@ Place in the pipeline: Monte Carlo study with indices -> **sobol_bars** -> pictu
 import numpy as np
 
 from rfem_jax.description.study_file.study import Study
-from rfem_jax.report.annotations import Axes, Figure
-from rfem_jax.report.style import BAR_COLOURS, HATCHES, add_titles, new_figure, panel_grid
+from rfem_jax.report.contents.annotations import Axes, Figure
+from rfem_jax.report.drawings.style import BAR_COLOURS, HATCHES, add_titles, new_figure, panel_grid
 from rfem_jax.tolerancing.sampling.monte_carlo_result import MonteCarloResult
 
 MOST_PANELS = 8

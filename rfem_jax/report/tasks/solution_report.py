@@ -12,9 +12,9 @@ import numpy as np
 from rfem_jax.description.parameters.deviations import deviation_unit
 from rfem_jax.description.tasks.costs import ErrorCost, FoundTolerancesTask
 from rfem_jax.description.tolerances.error_catalogue import as_specified
-from rfem_jax.report.annotations import Axes, Figure
-from rfem_jax.report.overview import format_error
-from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles, new_figure
+from rfem_jax.report.contents.annotations import Axes, Figure
+from rfem_jax.report.contents.overview import format_error
+from rfem_jax.report.drawings.style import CASE_COLOURS, MARKERS, add_titles, new_figure
 from rfem_jax.report.tasks.task_report import TaskReport
 from rfem_jax.tolerancing.robust_design.cost_models import Exponential, Reciprocal, ReciprocalSquared
 from rfem_jax.tolerancing.robust_design.result import Solution

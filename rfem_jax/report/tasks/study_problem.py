@@ -12,7 +12,7 @@ from rfem_jax.description.study_file.study import Study
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.statics.designs import model_of_study
 from rfem_jax.simulation import Simulation
-from rfem_jax.simulation.stability import largest_stable_step
+from rfem_jax.simulation.vibrations.stability import largest_stable_step
 from rfem_jax.tolerancing.problems.problem import Metric
 from rfem_jax.tolerancing.problems.simulated_problem import Problem
 from rfem_jax.tolerancing.problems.static_problem import StaticProblem

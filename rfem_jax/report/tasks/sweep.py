@@ -16,9 +16,9 @@ from rfem_jax.description.parameters.deviations import deviation_unit
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.sweep import SweepTask
 from rfem_jax.description.tolerances.error_catalogue import as_specified
-from rfem_jax.report.annotations import Axes, Figure
-from rfem_jax.report.overview import format_error
-from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles, new_figure, panel_grid
+from rfem_jax.report.contents.annotations import Axes, Figure
+from rfem_jax.report.contents.overview import format_error
+from rfem_jax.report.drawings.style import CASE_COLOURS, MARKERS, add_titles, new_figure, panel_grid
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.sampled_report import SampledReport
 from rfem_jax.report.tasks.task_files import metric_units

@@ -12,8 +12,8 @@ from typing import Any
 
 from rfem_jax.description.metrics.catalogue import notes_on
 from rfem_jax.description.study_file.study import Study
-from rfem_jax.report.output import plain, write_json
-from rfem_jax.report.summary import study_note
+from rfem_jax.report.contents.output import plain, write_json
+from rfem_jax.report.contents.summary import study_note
 
 
 def metric_units(metrics: Sequence[str], units: Sequence[str]) -> dict[str, str]:

@@ -7,8 +7,8 @@ users write them; limits in units of their metrics.
 from rfem_jax.description.parameters.deviations import deviation_unit
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tolerances.tolerances import SpecifiedTolerances
-from rfem_jax.report.overview import format_error
-from rfem_jax.report.tables import format_table
+from rfem_jax.report.contents.overview import format_error
+from rfem_jax.report.contents.tables import format_table
 from rfem_jax.task_kinds import task_kinds
 from rfem_jax.text_layout import wrap_lines
 

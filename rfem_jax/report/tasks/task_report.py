@@ -22,14 +22,14 @@ from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.task import Task
 from rfem_jax.description.tolerances.tolerances import SpecifiedTolerances
 from rfem_jax.description.tolerances.zones import SpecifiedZone
-from rfem_jax.report.annotations import Figure
-from rfem_jax.report.output import write_csv
-from rfem_jax.report.overview import format_error
-from rfem_jax.report.pictures import drawn, write_pictures
-from rfem_jax.report.progress_line import show
-from rfem_jax.report.style import SETTINGS
-from rfem_jax.report.tables import title_text
+from rfem_jax.report.contents.annotations import Figure
+from rfem_jax.report.contents.output import write_csv
+from rfem_jax.report.contents.overview import format_error
+from rfem_jax.report.contents.tables import title_text
+from rfem_jax.report.drawings.pictures import drawn, write_pictures
+from rfem_jax.report.drawings.style import SETTINGS
 from rfem_jax.report.tasks.task_files import write_task_json
+from rfem_jax.report.terminal.messages import show
 from rfem_jax.tolerancing.problems.kept_evaluations import kept_in
 from rfem_jax.tolerancing.problems.results_store import count_chunks
 from rfem_jax.tolerancing.problems.sharing import process_index

@@ -13,8 +13,8 @@ import numpy as np
 from rfem_jax.compilation.stages import on_stage
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.worst_case import WorstCaseTask
-from rfem_jax.report.annotations import Figure
-from rfem_jax.report.style import CASE_COLOURS, MARKERS, add_titles, new_figure
+from rfem_jax.report.contents.annotations import Figure
+from rfem_jax.report.drawings.style import CASE_COLOURS, MARKERS, add_titles, new_figure
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.task_report import GRADIENT, TaskReport
 from rfem_jax.tolerancing.layout import show_number

@@ -20,10 +20,10 @@ from rfem_jax.description.methods import Explicit, GeneralisedAlpha, Leapfrog, M
 from rfem_jax.mechanics.model.inputs import DriveInput
 from rfem_jax.mechanics.model.model import State
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
-from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
-from rfem_jax.simulation.observation import Instant
+from rfem_jax.simulation.outcome.observation import Instant
 from rfem_jax.simulation.solvers.explicit import LeapfrogSolver, PeakTracking, RungeKutta4Solver
 from rfem_jax.simulation.solvers.generalised_alpha import GeneralisedAlphaSolver, MadeJump, StepState
+from rfem_jax.simulation.system.equations import Conditions, Scalar, Trajectory
 
 
 @runtime_checkable

@@ -27,8 +27,8 @@ from rfem_jax.mechanics.kinematics.motion import motion_of
 from rfem_jax.mechanics.model.model import State
 from rfem_jax.mechanics.model.topology import BASE
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
-from rfem_jax.simulation.equations import Scalar, Trajectory
 from rfem_jax.simulation.solvers.implicit_step import Following, Memory
+from rfem_jax.simulation.system.equations import Scalar, Trajectory
 
 HALVINGS = 14  # of a step, down to a length that no contact needs
 # Of parts of one step; then all are taken, to the end of the run, which has the status "steps_exhausted".

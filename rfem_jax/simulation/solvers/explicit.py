@@ -20,10 +20,10 @@ from rfem_jax.mechanics.model.inputs import DriveInput
 from rfem_jax.mechanics.model.model import Coordinates, State
 from rfem_jax.mechanics.model.orientations import moved
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
-from rfem_jax.simulation import equations
-from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
-from rfem_jax.simulation.observation import Instant, solved_instant
+from rfem_jax.simulation.outcome.observation import Instant, solved_instant
 from rfem_jax.simulation.solvers.generalised_alpha import MadeJump
+from rfem_jax.simulation.system import equations
+from rfem_jax.simulation.system.equations import Conditions, Scalar, Trajectory
 
 # Reverse mode recomputes a stage from its state: to store hundreds of intermediates costs more.
 MOTION = diffrax.ODETerm(jax.checkpoint(kernel(equations.right_hand_side, name="right-hand side")))

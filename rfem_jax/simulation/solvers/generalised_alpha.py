@@ -67,11 +67,8 @@ from rfem_jax.mechanics.model.inputs import DriveInput
 from rfem_jax.mechanics.model.model import Coordinates, State
 from rfem_jax.mechanics.model.topology import Topology
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
-from rfem_jax.simulation import equations
-from rfem_jax.simulation.batches import with_batch_axes
-from rfem_jax.simulation.equations import Conditions, Scalar, Trajectory
-from rfem_jax.simulation.observation import Instant, cut_drift, evaluated_instant
-from rfem_jax.simulation.run import RESIDUAL_LIMIT
+from rfem_jax.simulation.outcome.observation import Instant, cut_drift, evaluated_instant
+from rfem_jax.simulation.outcome.run import RESIDUAL_LIMIT
 from rfem_jax.simulation.solvers.implicit_step import (
     Following,
     Memory,
@@ -90,6 +87,9 @@ from rfem_jax.simulation.solvers.step_boundaries import (
     step_end,
     with_least_reactions,
 )
+from rfem_jax.simulation.system import equations
+from rfem_jax.simulation.system.batches import with_batch_axes
+from rfem_jax.simulation.system.equations import Conditions, Scalar, Trajectory
 
 CLOSED = 1e-7  # drift of the cut joints that Newton's method may leave, relative to the longest link
 # The residual acts as an error force in every step, and after a jump loads are a fraction of the largest so far: RMS

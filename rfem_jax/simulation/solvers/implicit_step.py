@@ -35,8 +35,8 @@ from rfem_jax.mechanics.implicit.newton import (
 from rfem_jax.mechanics.implicit.residual import Evaluation, residual_of
 from rfem_jax.mechanics.laws.clearances import ContactMemory
 from rfem_jax.mechanics.model.model import Coordinates
-from rfem_jax.simulation.batches import with_batch_axes
-from rfem_jax.simulation.equations import Conditions, Integrals, Scalar, Trajectory
+from rfem_jax.simulation.system.batches import with_batch_axes
+from rfem_jax.simulation.system.equations import Conditions, Integrals, Scalar, Trajectory
 
 SOLUTION = "solution of an implicit step"  # what reverse mode keeps of a step
 Unknowns = NewtonIncrement  # accelerations and multipliers, as the increments that are added to them

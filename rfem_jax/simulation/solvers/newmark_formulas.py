@@ -26,8 +26,8 @@ from rfem_jax.mechanics.model.inputs import DriveInput, impose
 from rfem_jax.mechanics.model.model import Coordinates, State
 from rfem_jax.mechanics.model.orientations import moved
 from rfem_jax.mechanics.model.topology import Topology
-from rfem_jax.simulation.equations import Trajectory
 from rfem_jax.simulation.solvers.implicit_step import Memory
+from rfem_jax.simulation.system.equations import Trajectory
 
 LIKE = 2.0  # a step of up to so many times the length of the one before goes on with its memory
 

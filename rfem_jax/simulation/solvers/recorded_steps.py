@@ -13,7 +13,7 @@ import diffrax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PyTree
 
-from rfem_jax.simulation.equations import Scalar
+from rfem_jax.simulation.system.equations import Scalar
 
 
 class RecordedSteps(diffrax.AbstractStepSizeController[Int[Array, ""], None]):

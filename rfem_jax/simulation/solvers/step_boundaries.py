@@ -20,9 +20,9 @@ from rfem_jax.mechanics.kinematics.slender_links import completed_state
 from rfem_jax.mechanics.model.inputs import DriveInput
 from rfem_jax.mechanics.model.model import Coordinates, State
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors
-from rfem_jax.simulation import equations
-from rfem_jax.simulation.equations import Integrals, Scalar, Trajectory
 from rfem_jax.simulation.solvers.implicit_step import Memory, StepConstants, StepEnd, StepStart, Unknowns
+from rfem_jax.simulation.system import equations
+from rfem_jax.simulation.system.equations import Integrals, Scalar, Trajectory
 
 
 def step_end(

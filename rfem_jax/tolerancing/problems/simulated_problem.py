@@ -26,16 +26,16 @@ from rfem_jax.mechanics.model.errors import Deviations, Errors, deviations, devi
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.status import PAST_LIMIT, STATUS
 from rfem_jax.mechanics.statics.designs import Design, Designed, designed
-from rfem_jax.simulation.conclusion import run_of_design
-from rfem_jax.simulation.driving import design_with, drive_numbers, drive_of_design, require_driven
-from rfem_jax.simulation.integration import grid_for
 from rfem_jax.simulation.locking import FAILED_IN_MOTION, DriveLimit, drive_limit
-from rfem_jax.simulation.records import require_records
-from rfem_jax.simulation.run import RESIDUAL_LIMIT
+from rfem_jax.simulation.outcome.records import require_records
+from rfem_jax.simulation.outcome.run import RESIDUAL_LIMIT
 from rfem_jax.simulation.simulating import perfect_model, simulated
 from rfem_jax.simulation.specification import Simulation, simulation_of_call
-from rfem_jax.simulation.stepping import Integration, contact_tolerance_of
-from rfem_jax.simulation.time_grid import TimeGrid, longest_interval, of_any_step
+from rfem_jax.simulation.stages.conclusion import run_of_design
+from rfem_jax.simulation.stages.integration import grid_for
+from rfem_jax.simulation.stages.stepping import Integration, contact_tolerance_of
+from rfem_jax.simulation.system.driving import design_with, drive_numbers, drive_of_design, require_driven
+from rfem_jax.simulation.system.time_grid import TimeGrid, longest_interval, of_any_step
 from rfem_jax.tolerancing.checks import check_distinct, error_value
 from rfem_jax.tolerancing.problems.mechanism_problem import (
     LINEAR_ERROR,

@@ -19,9 +19,9 @@ from rfem_jax.description.metrics.catalogue import kind_and_owner, require_at_re
 from rfem_jax.mechanics.model.errors import Deviations, Errors, deviations_of
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.statics.designs import Design
-from rfem_jax.simulation.poses import ClosedPose, Positions, poses_at
-from rfem_jax.simulation.records import require_records
-from rfem_jax.simulation.statics import first_status, static_loads_at
+from rfem_jax.simulation.outcome.records import require_records
+from rfem_jax.simulation.rest.poses import ClosedPose, Positions, poses_at
+from rfem_jax.simulation.rest.statics import first_status, static_loads_at
 from rfem_jax.tolerancing.checks import check_distinct
 from rfem_jax.tolerancing.problems.mechanism_problem import (
     LINEAR_ERROR,

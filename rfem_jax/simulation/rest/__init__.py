@@ -1,0 +1,8 @@
+"""The mechanism held still at given positions.
+
+poses              where it is held: closed poses of the perfect mechanism
+statics            loads at rest, and of rigid links in given motion
+labelled_statics   these as tables and Datasets
+turn               loads at positions of a drive, one after another
+labelled_turn      these as tables and Datasets
+"""
