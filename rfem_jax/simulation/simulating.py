@@ -43,7 +43,7 @@ def simulate(
     **Arguments:** `simulation`: what is simulated, how long and by which method; `errors` from `assembly_errors`, or
     {name: value} (None: perfect); `adjoint`: diffrax's adjoint, for adaptive methods only (None: forward mode; give
     `diffrax.RecursiveCheckpointAdjoint()` for reverse mode); `record`: what the run records besides, such as
-    "coupler.sections" (see `simulation.records`), into `run.recorded`. A model in place of the simulation, with
+    "coupler.sections" (see `outcome.records`), into `run.recorded`. A model in place of the simulation, with
     `former` arguments, is the call of an earlier version, which warns.
 
     **Returns:** `Run`.  Works under jit, vmap, jacfwd; with fixed-step methods also grad, jacrev and Hessians (memory
@@ -74,7 +74,7 @@ def simulated(
     asked: Sequence[str],
     perfect: Model | None = None,
 ) -> Conclusion:
-    """The conclusion of a simulation; `asked`: names as in `simulation.records`; `perfect`: as of `perfect_model`."""
+    """The conclusion of a simulation; `asked`: names as in `outcome.records`; `perfect`: as of `perfect_model`."""
     undisturbed = integration if perfect is None else dataclasses.replace(integration, model=perfect)
     paths = perfect_paths(undisturbed, asked, start, adjoint)
     prepared = prepare(integration.model, errors, integration.drive, start)

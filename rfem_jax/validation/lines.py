@@ -1,6 +1,6 @@
 """A line of the validation table: our value, the reference, their difference and the verdict.
 
-Place in the pipeline: every benchmark of this package returns lines; `report.validation_tables` shows them.
+Place in the pipeline: every benchmark of this package returns lines; `report.validation.validation_tables` shows them.
 
 A line passes if the difference is within the allowed one.  Where it is not, and the reason is known and given, it is
 "not met"; otherwise it fails.  A value that is not finite fails.

@@ -1,6 +1,6 @@
 """Internal forces and moments along the links, and the stresses at the edges of their sections.
 
-Place in the pipeline: kinematics, elasticity, loads -> **section_loads** -> simulation.records, report.
+Place in the pipeline: kinematics, elasticity, loads -> **section_loads** -> simulation.outcome.records, report.
 
 At the sde in the middle of a segment the elements give them. Between sdes every rfe is a rigid body in equilibrium
 with its inertia, its weight and what joints, point masses and forces exert on it, so that at both sides of each of

@@ -1,6 +1,6 @@
 """Natural frequencies of the cases of a study: computed, printed, written and drawn.
 
-Place in the pipeline: study, model -> `simulation.modes` -> **modes_report** -> files.
+Place in the pipeline: study, model -> `simulation.vibrations.modes` -> **modes_report** -> files.
 """
 
 from functools import partial

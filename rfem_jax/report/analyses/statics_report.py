@@ -1,6 +1,6 @@
 """The static loads of the cases of a study: computed, printed and written.
 
-Place in the pipeline: study, model -> `simulation.statics` -> **statics_report** -> files.
+Place in the pipeline: study, model -> `simulation.rest.statics` -> **statics_report** -> files.
 """
 
 from collections.abc import Mapping

@@ -1,6 +1,6 @@
 """The kinetostatic turn of the cases of a study: computed, printed, written and drawn.
 
-Place in the pipeline: study, model -> `simulation.turn` -> **turn_report** -> files.
+Place in the pipeline: study, model -> `simulation.rest.turn` -> **turn_report** -> files.
 """
 
 from dataclasses import replace

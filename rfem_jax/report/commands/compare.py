@@ -1,6 +1,6 @@
 """`rfem-jax compare`: two results side by side.
 
-Place in the pipeline: two folders with results -> `report.comparison`, `report.task_comparison` -> **compare**.
+Place in the pipeline: two folders with results -> `contents.comparison`, `task_comparison` -> **compare**.
 """
 
 import argparse

@@ -178,7 +178,7 @@ def write_run_pictures(folder: Path, study: Study, runs: dict[str, Run], summari
 
 
 def write_run_animation(folder: Path, runs: dict[str, Run], formats: Sequence[str] = ()) -> list[Path]:
-    """Write where the mechanism is, for the page, and in the formats of other programs (`report.motion_files`)."""
+    """Write where the mechanism is, for the page, and in the formats of other programs (`motion_files`)."""
     from rfem_jax.report.page.animation import record_animation, write_arrays
 
     announce("Tracing where the mechanism is")

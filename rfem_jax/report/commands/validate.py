@@ -1,6 +1,6 @@
 """`rfem-jax validate`: published problems beside their reference values.
 
-Place in the pipeline: `report.validation_command` computes and prints; **validate** has its options.
+Place in the pipeline: `report.validation.validation_command` computes and prints; **validate** has its options.
 """
 
 import argparse

@@ -2,7 +2,7 @@
 
 Place in the pipeline: results.json, CSV files, animation.npz, files of tasks -> **folder** -> document.
 
-Whatever these files hold, the content is a dict of known keys; what has another form than that of `report.files` is
+Whatever these files hold, the content is a dict of known keys; what has another form than that of `files` is
 left out, or shown as the text that it is.
 """
 

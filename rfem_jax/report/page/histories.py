@@ -1,6 +1,6 @@
 """Curves of the page: the columns of the CSV files of a study, with names and units.
 
-Place in the pipeline: files of `report.files` -> **histories** -> folder.
+Place in the pipeline: files of `report.contents` -> **histories** -> folder.
 """
 
 import re

@@ -293,7 +293,7 @@ class Run(eqx.Module):
     points: `PointPath` of every point of the description, couplings: `CouplingHistory` of every coupling, by their
     names.
 
-    recorded: what `simulate` was asked to record, by the names of `simulation.records`; model, errors: what was
+    recorded: what `simulate` was asked to record, by the names of `outcome.records`; model, errors: what was
     simulated.
     """
 

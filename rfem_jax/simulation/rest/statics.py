@@ -100,7 +100,7 @@ class StaticLoads(eqx.Module):
     position [rad, m] and holding [N m, N] of every coordinate that is held, by its name ("A", "C.T_y"): holding is what
     has to act on it from outside. loads: of all joints (positions, 3), in hinge frames; metrics of them over the
     positions; angles [rad], displacements [m] of the tree joints; energy [J]; points: `PointPath` of every point;
-    rate, acceleration of the held coordinates, zero at rest; recorded: by the names of `simulation.records`,
+    rate, acceleration of the held coordinates, zero at rest; recorded: by the names of `outcome.records`,
     "LINK.sections" and "LINK.deflection" of flexible links among them, "shaking" where it is asked for; couplings:
     `CouplingHistory` of every coupling;
     stress [Pa]: largest von Mises stress of every link whose section's edge is known; contacts: of joints with

@@ -223,7 +223,7 @@ def advance_unobserved(integration: Integration, actual: ModelWithErrors, carry:
 def observe_ends(
     integration: Integration, actual: ModelWithErrors, ends: IntervalEnd, asked: Sequence[str] = ()
 ) -> Record:
-    """Records of the ends of intervals, with a first axis of intervals; `asked`: names as in `simulation.records`."""
+    """Records of the ends of intervals, with a first axis of intervals; `asked`: names as in `outcome.records`."""
 
     def record_of(integration, actual):
         solver, drives, stabilisation = integration.solver, integration.drives, integration.stabilisation

@@ -41,7 +41,7 @@ class Metric:
 
     `even`: True if the value does not change when all out-of-plane errors of a planar mechanism change sign
     (theory (9.3)), None if unknown. `function`: Run -> scalar; the simulator needs it, a `FunctionProblem` does not.
-    `records`: what the function reads of `run.recorded`, by the names of `simulation.records`; `description`: what it
+    `records`: what the function reads of `run.recorded`, by the names of records; `description`: what it
     is, in a sentence; `by_name`: makes the metrics of the catalogue, of which it is one, of names.
     Raises: InputError for a name that is no word and a function that cannot be called.
     """
