@@ -250,7 +250,7 @@ def trial_errors(model: Model) -> AssemblyErrors:
         [[name in topology.kind(j).errors(child=False) for j in range(perfect.seat.shape[1])] for name in names]
     )
     flawed = eqx.tree_at(lambda e: e.seat, perfect, jnp.asarray(np.where(has, size[:, None] * signs, 0.0)))
-    return jax.tree.map(lambda a, b: jnp.stack([a, b]), perfect, flawed)
+    return jax.tree.map(lambda a, b: jnp.asarray(np.stack([a, b])), perfect, flawed)
 
 
 @functools.partial(Program, nameless=True)

@@ -22,9 +22,10 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import ArrayLike, Float
 
 from rfem_jax.tolerancing.problems.distributions import Tolerance
 from rfem_jax.tolerancing.problems.named_tolerances import Tolerances
@@ -130,8 +131,8 @@ def _parts(tolerances: Tolerances) -> tuple[Float[np.ndarray, "k k"], list[_Part
     position, number = 0, len(tolerances.independent)
     for name in tolerances.names[:number]:
         tolerance = tolerances.independent[name]
-        basis[position, position] = np.sqrt(float(tolerance.variance()))
-        parts.append(_Part(slice(position, position + 1), position, _fourth(tolerance)))
+        basis[position, position], fourth = _moments(tolerance)
+        parts.append(_Part(slice(position, position + 1), position, fourth))
         position += 1
     for factor, (matrix, sizes) in enumerate(_groups(tolerances), start=number):
         first = position
@@ -152,9 +153,17 @@ def _groups(tolerances: Tolerances) -> Iterator[tuple[np.ndarray, list[tuple[int
         yield np.asarray(zone.matrix) * scale, [(n, (n + 2.0) / (n + 4.0)) for n in zone.balls]
 
 
-def _fourth(tolerance: Tolerance) -> float:
-    """Fourth moment of an error about its mean, by that of a normal one of the same variance."""
-    away = np.asarray(tolerance.from_normal(jnp.asarray(NODES))) - float(tolerance.mean)
+@eqx.filter_jit
+def _variance_and_errors(tolerance: Tolerance) -> tuple[ArrayLike, ArrayLike, ArrayLike]:
+    """Variance and mean of an error, and the errors at the nodes, of standard normal numbers, by one program."""
+    return tolerance.variance(), tolerance.mean, tolerance.from_normal(jnp.asarray(NODES))
+
+
+def _moments(tolerance: Tolerance) -> tuple[float, float]:
+    """Standard deviation of an error, and its fourth moment about its mean, by that of a normal one of the same
+    variance."""
+    variance, mean, errors = map(np.asarray, _variance_and_errors(tolerance))
+    away = errors - mean
     density = np.exp(-0.5 * NODES**2) / math.sqrt(2.0 * math.pi)
     square, fourth = (np.trapezoid(away**power * density, NODES) for power in (2, 4))
-    return float(fourth / (3.0 * square**2)) if square > 0.0 else 1.0
+    return float(np.sqrt(variance)), float(fourth / (3.0 * square**2)) if square > 0.0 else 1.0

@@ -6,6 +6,7 @@ Place in the pipeline: description, places, laws -> **acting_laws** -> building.
 from collections.abc import Sequence
 
 import jax.numpy as jnp
+import numpy as np
 
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.basics.numbers import array_of
@@ -112,8 +113,8 @@ def force_nodes(mechanism: Mechanism, links: DividedLinks) -> ForceNodes:
 def frame_forces(parts: Parts, topology: Topology, links: Sequence[Link], points: ForceNodes) -> dict[str, FrameForce]:
     """The forces at points and between them, by their names."""
     elements: dict[str, FrameForce] = {}
-    nodes, unit = dict(points), jnp.eye(3)
-    base = NodeFrame(BASE, unit, jnp.zeros(3))
+    nodes, unit = dict(points), jnp.asarray(np.eye(3))  # of NumPy: JAX would compile both
+    base = NodeFrame(BASE, unit, jnp.asarray(np.zeros(3)))
     for force in parts.forces:
         if not isinstance(force, AtPoint | BetweenPoints):
             continue
