@@ -52,12 +52,12 @@ def entries_in(array: Array) -> Entries:
 
 def row_at(rows: Array, i: int) -> Array:
     """A row whose number is known."""
-    return rows.moved(rows.slots[i]) if isinstance(rows, Location) else whole(rows[i])
+    return rows.moved(np.asarray(rows.slots[i])) if isinstance(rows, Location) else whole(rows[i])
 
 
 def stored(builder: Builder, kind: str, slot: int, shape: Sequence[int]) -> Location:
     """An array that is in the workspace from a slot on."""
-    return Location(builder, kind, slot + np.arange(math.prod(shape)).reshape(shape))
+    return Location(builder, kind, np.asarray(slot + np.arange(math.prod(shape)).reshape(shape)))
 
 
 def location_of(array: Array) -> Location | None:

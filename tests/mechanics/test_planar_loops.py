@@ -29,6 +29,7 @@ from rfem_jax import (
     assemble,
     assembly_errors,
     design,
+    deviations,
     discretise,
     monte_carlo,
     parameters,
@@ -212,7 +213,7 @@ def test_no_derivatives_by_errors_across_the_plane():
     numbers = {"C.position.y": False, "C.position.z": True, "D.orientation.x": False, "D.orientation.y": True,
                "coupler.length": True, "bar.width": True, "gravity.y": True, "A.angle": True}  # fmt: skip
     for name in numbers.keys() & set(parameters(model)):
-        for make in (partial(assembly_errors, model), partial(design, model)):
+        for make in (partial(deviations, model), partial(design, model)):
             assert is_taken(make, name) == numbers[name], name
     asked = discretise(unloaded(redundant_reactions="minimum_norm"))  # who asks for the least norm gets it
     assert is_taken(partial(assembly_errors, asked), "D.d_y")
