@@ -179,6 +179,7 @@ def test_new_numbers_do_not_retrace():
     assert float(function(0.012)[0, 1]) == pytest.approx(1.2 * float(function(0.01)[0, 1])) and len(traced) == 1
 
 
+@pytest.mark.wrong_types
 def test_what_is_no_parameter_is_refused():
     model = discretise(four_bar())
     with pytest.raises(InputError, match="did you mean `rocker.section.height`"):
@@ -187,3 +188,7 @@ def test_what_is_no_parameter_is_refused():
         design(model, {"B.angle": 0.1})
     with pytest.raises(InputError, match="must name each parameter once"):
         design(model, {"crank.length": 0.1, "link.crank.length": 0.1})
+    with pytest.raises(InputError, match="`errors` must name each parameter once"):
+        deviations(model, {"steel.density": 10.0, "material.steel.density": 10.0})
+    with pytest.raises(InputError, match="a table of them by their names, but is 5"):
+        deviations(model, 5)  # pyright: ignore[reportArgumentType]

@@ -22,7 +22,7 @@ from rfem_jax.compilation.naming import Names
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.basics.errors import InputError, suggestion
 from rfem_jax.description.basics.units import quantity
-from rfem_jax.description.parameters.parameters import ParameterNames
+from rfem_jax.description.parameters.parameters import ParameterNames, require_each_once
 from rfem_jax.description.tolerances.error_catalogue import BOWS, NO_BOW, error_dimension
 from rfem_jax.mechanics.algebra.reordering import rows
 from rfem_jax.mechanics.model.model import Model
@@ -113,8 +113,14 @@ def deviations(model: Model, values: Mapping[str, ArrayLike | str] | None = None
     [rad, m] any parameter of the model (`rfem_jax.parameters`), which then differs from its value by a number in its
     unit.
 
-    **Raises:** `InputError` for a name that the model does not have.
+    **Raises:** `InputError` for what is no table, a name that the model does not have, and a parameter by both of its
+    names.
     """
+    if values is not None and not isinstance(values, Mapping):
+        raise InputError(
+            f"Argument `errors` must be errors from assembly_errors or a table of them by their names, but is "
+            f'{values!r}; write for example {{"{model.topology.error_names[0]}": 0.001}}.'
+        )
     _require_closable(model, values or {})
     errors, parameters = {}, {}
     names = NO_PARAMETERS if model.source is None else model.source.blueprint.names
@@ -122,9 +128,11 @@ def deviations(model: Model, values: Mapping[str, ArrayLike | str] | None = None
         _require_number(name, value)
         if name in names and name not in model.topology.error_names:
             number = quantity(value, names[name].dimension, f"error {name!r}") if isinstance(value, str) else value
-            parameters[names[name].full] = jnp.asarray(number, jnp.float64)
+            parameters[name] = jnp.asarray(number, jnp.float64)
         else:
             errors[name] = value
+    require_each_once([names[name] for name in parameters], "errors")
+    parameters = {names[name].full: number for name, number in parameters.items()}
     return Deviations(_errors_by_name(model.topology, errors, names), parameters)
 
 
@@ -170,11 +178,6 @@ def deviations_of(model: Model, errors: Errors | None) -> Deviations:
         return errors
     if isinstance(errors, AssemblyErrors):
         return Deviations(errors)
-    if errors is not None and not isinstance(errors, Mapping):
-        raise InputError(
-            f"Argument `errors` must be errors from assembly_errors or a table of them by their names, but is "
-            f'{errors!r}; write for example {{"{model.topology.error_names[0]}": 0.001}}.'
-        )
     return deviations(model, errors)
 
 
