@@ -82,11 +82,9 @@ def accelerations(
     angular, linear = _free_accelerations(actual, motion, spin, gravity, *free)
     tree = interface_tree(actual, state, motion, (force, moment), at_nodes)
     chains = {l: chain_of(actual, motion, l, tree.point[:, l], free) for l in topology.slender}
-    laws = law_forces(actual, state)
-    if actual.friction is not None:
-        found = tree_friction(actual, state, motion, None) | cut_friction(actual, motion, cuts, None)
-        laws = with_friction(actual, laws, found)
-        tree = with_cut_forces(topology, cuts, tree, laws)
+    found = tree_friction(actual, state, motion, None) | cut_friction(actual, motion, cuts, None)
+    laws = with_friction(actual, law_forces(actual, state), found)
+    tree = with_cut_forces(topology, cuts, tree, laws)
     in_cuts = node_wrenches(topology, cuts, None if laws is None else laws.cuts) if chains else {}
     forces = applied_forces(topology, state.position, drive, laws)
     columns, along = load_columns(topology, cuts, tree, in_cuts), joint_columns(topology, cuts)

@@ -148,6 +148,17 @@ def root_inertia(actual: ModelWithErrors, link: int | slice) -> Float[Array, "6 
     return vectors.spatial_inertia(actual.mass[link], actual.centre[:, link], actual.inertia[:, :, link])
 
 
+def operators_at(
+    actual: ModelWithErrors,
+    operators: tuple[LinkOperator | None, ...],
+    relative: RelativeMotion,
+    q_factor: Float[Array, ""],
+    v_factor: Float[Array, ""],
+) -> tuple[LinkOperator | None, ...]:
+    """Condensed links at the present deflection: `operators`, those of `link_operators`, where elements are linear."""
+    return present_operators(actual, relative, q_factor, v_factor) if actual.topology.exact else operators
+
+
 def present_operators(
     actual: ModelWithErrors, relative: RelativeMotion, q_factor: Float[Array, ""], v_factor: Float[Array, ""]
 ) -> tuple[LinkOperator | None, ...]:

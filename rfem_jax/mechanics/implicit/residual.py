@@ -23,7 +23,14 @@ from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.dynamics.dynamics import total_dissipated
 from rfem_jax.mechanics.elements.elasticity import dissipated_power, generalised_forces
 from rfem_jax.mechanics.forces.element_loads import FrameLoads, frame_loads
-from rfem_jax.mechanics.forces.friction import Ahead, cut_forces, cut_friction, tree_friction, with_friction
+from rfem_jax.mechanics.forces.friction import (
+    Ahead,
+    FrictionStates,
+    cut_forces,
+    cut_friction,
+    tree_friction,
+    with_friction,
+)
 from rfem_jax.mechanics.forces.joint_forces import (
     LawForces,
     applied_forces,
@@ -150,9 +157,7 @@ def evaluate_residual(
         in_cuts = cut_friction(actual, motion, cuts, multipliers, later)
         wrenches = loads.chain_wrenches(actual, motion, cuts, multipliers, inertial, cut_forces(actual, in_cuts))
         hinge = -dot(motion.axis, by_freedom(topology, jnp.stack(wrenches[:n], axis=1)))
-        in_tree = tree_friction(actual, state, motion, wrenches, later)
-        laws = with_friction(actual, law_forces(actual, state), in_cuts | in_tree)
-        laws = with_ideal_couplings(actual, laws, motion, multipliers, scale)
+        laws = _forces_at_joints(actual, state, motion, wrenches, multipliers, scale, in_cuts, later)
         applied = applied_forces(topology, state.position, drive, laws)
         if applied:
             hinge = hinge + by_coordinate(topology, applied)
@@ -203,9 +208,7 @@ def with_wrenches(
         accelerations = completed(actual, motion.relative, accelerations)
         later = Ahead(ahead, accelerations.joints, spatial_accelerations(actual, motion, state, accelerations))
     in_cuts = cut_friction(actual, motion, cuts, multipliers, later)
-    in_tree = tree_friction(actual, state, evaluation.motion, wrenches, later)
-    laws = with_friction(actual, law_forces(actual, state), in_cuts | in_tree)
-    laws = with_ideal_couplings(actual, laws, motion, multipliers, scale)
+    laws = _forces_at_joints(actual, state, motion, wrenches, multipliers, scale, in_cuts, later)
     at_nodes = frame_loads(actual, motion, drive.time)
     now = closure(actual, motion, scale)
     of_cuts = loads.cut_wrenches(actual.topology, cuts, multipliers, cut_forces(actual, in_cuts))
@@ -216,6 +219,22 @@ def with_wrenches(
         laws=laws,
         frame_loads=at_nodes,
     )
+
+
+def _forces_at_joints(
+    actual: ModelWithErrors,
+    state: State,
+    motion: Motion,
+    wrenches: Sequence[Float[Array, "6"]],
+    multipliers: Float[Array, " constraints"],
+    scale: Scalar,
+    in_cuts: FrictionStates,
+    later: Ahead | None,
+) -> LawForces | None:
+    """Forces of springs, laws, couplings and friction at joints; `in_cuts`: friction in cut joints."""
+    in_tree = tree_friction(actual, state, motion, wrenches, later)
+    laws = with_friction(actual, law_forces(actual, state), in_cuts | in_tree)
+    return with_ideal_couplings(actual, laws, motion, multipliers, scale)
 
 
 def spatial_accelerations(

@@ -42,16 +42,11 @@ from jaxtyping import Array, Bool, Float, PyTree
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.methods import GeneralisedAlpha, Method
 from rfem_jax.kernels import kernel
-from rfem_jax.mechanics.forces.bush_contacts import contact_memory, remembers
-from rfem_jax.mechanics.forces.friction import (
-    FrictionLine,
-    FrictionTangent,
-    friction_lines,
-    friction_tangent,
-    states_in,
-)
+from rfem_jax.mechanics.forces import nonsmooth_forces
+from rfem_jax.mechanics.forces.friction import FrictionTangent
+from rfem_jax.mechanics.forces.nonsmooth_forces import SecantLines
 from rfem_jax.mechanics.forces.tangents import NO_FRICTION, force_tangents
-from rfem_jax.mechanics.implicit.condensation import LinkOperator, link_operators, present_operators
+from rfem_jax.mechanics.implicit.condensation import LinkOperator, link_operators, operators_at
 from rfem_jax.mechanics.implicit.newton import IterationMatrix, iteration_matrix, newton_increment
 from rfem_jax.mechanics.implicit.residual import (
     Evaluation,
@@ -81,7 +76,7 @@ from rfem_jax.simulation.solvers.implicit_step import (
 )
 from rfem_jax.simulation.solvers.newmark_formulas import NewmarkFormulas
 from rfem_jax.simulation.solvers.step_boundaries import (
-    friction_delay,
+    force_delay,
     remembering,
     squared_moments,
     step_end,
@@ -167,16 +162,14 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         zeros = jax.tree.map(jnp.zeros_like, trajectory.velocity)
         rates = jax.tree.map(jnp.zeros_like, trajectory.integrals)
         actual = conditions.actual
-        contacts = None
-        if remembers(actual):
-            contacts = contact_memory(actual, motion_of(actual, State(trajectory.position, trajectory.velocity)))
+        forces = nonsmooth_forces.first_memory(actual, State(trajectory.position, trajectory.velocity))
         following = None
         if self.follows(actual):
             following = Following(jnp.zeros(()), jnp.zeros((), bool), jnp.zeros(()))
-        begun = None if actual.friction is None else jnp.zeros(())
-        earlier = None if _renews(actual) else zeros.joints  # forces that jump are no trend
+        # Forces that jump are no trend.
+        earlier = None if nonsmooth_forces.change_within_steps(actual) else zeros.joints
         none = jnp.zeros(())
-        return Memory(zeros, zeros, multipliers, rates, none, none, contacts, following, begun, earlier)
+        return Memory(zeros, zeros, multipliers, rates, none, none, forces, following, earlier)
 
     def follows(self, actual: ModelWithErrors) -> bool:
         """Whether the steps of a mechanism are parts that follow contacts."""
@@ -217,7 +210,7 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         start = remembering(StepStart(dataclasses.replace(args, operators=None), trajectory, solver_state))
         seen = jnp.maximum(peaks, equations.squared_loads(solver_state.rates))
         largest = equations.largest_component(seen)
-        if args.actual.friction is not None:
+        if nonsmooth_forces.may_be_only_loads(args.actual):
             largest = jnp.maximum(largest, squared_moments(trajectory, solver_state, t1) / args.stabilisation.scale**2)
         constants = StepConstants(t1, h, jnp.sqrt(largest))
         operators, constants, fixed = jax.lax.stop_gradient((operators, constants, start))
@@ -225,7 +218,7 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         trajectory, memory = solved_step(self, matrix, constants, start)
         y1 = trajectory, jnp.maximum(peaks, equations.squared_loads(memory.rates))
         allowed = RESIDUAL_LIMIT * jnp.sqrt(equations.largest_component(jax.lax.stop_gradient(y1[1])))
-        if args.actual.friction is not None:
+        if nonsmooth_forces.may_be_only_loads(args.actual):
             allowed = jnp.maximum(allowed, RESIDUAL_LIMIT * constants.largest_force)
         rounding = rounding_force(args.actual, args.stabilisation.scale, h)
         allowed = jnp.maximum(allowed, RESIDUAL_LIMIT * jax.lax.stop_gradient(rounding))
@@ -265,12 +258,12 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         predicted = self.predict(constants, start)
         evaluation = self.evaluate(predicted, constants, start)[0]
 
-        renewed = _renews(conditions.actual)
+        renewed = nonsmooth_forces.change_within_steps(conditions.actual)
         # Contacts converge an increment later; a step that is not solved is repeated in quarters, which costs more.
         most = self.max_increments + self.follows(conditions.actual)
 
         def kept(evaluation):
-            # With friction or contacts the matrix is formed again for every increment, from all of the evaluation.
+            # The matrix is formed again for every increment then, from all of the evaluation.
             return evaluation if renewed else residual_of(evaluation)
 
         def unconverged(carry):
@@ -281,7 +274,7 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
             count, _, unknowns, residual, lines, _ = carry
             present = matrix
             if renewed:
-                lines = friction_lines(conditions.actual, states_in(residual.laws), lines, count)
+                lines = nonsmooth_forces.secant_lines(conditions.actual, residual.laws, lines, count)
                 present = self.matrix_at(matrix, unknowns, residual, constants, start, lines)
                 residual = residual_of(residual)
             increment = newton_increment(topology, present, residual)
@@ -295,7 +288,7 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         count, converged = with_batch_axes(
             (jnp.zeros((), jnp.int32), jnp.zeros((), bool)), *(x for x in jax.tree.leaves(predicted) if x.size)
         )
-        lines = friction_lines(conditions.actual, states_in(evaluation.laws))
+        lines = nonsmooth_forces.secant_lines(conditions.actual, evaluation.laws)
         carry = count, converged, predicted, kept(evaluation), lines, StepEnd(trajectory, memory)
         return jax.lax.while_loop(unconverged, improve, carry)[-1]
 
@@ -310,8 +303,7 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         accelerations, _ = self.predict(constants, start)
         state, _ = self.formulas.end_of_step(h, trajectory, memory, accelerations, actual.topology, drive)
         now = motion_of(actual, state)
-        if actual.topology.exact:
-            operators = present_operators(actual, now.relative, *self.formulas.factors(h))
+        operators = operators_at(actual, operators, now.relative, *self.formulas.factors(h))
         return self._matrix(operators, state, now, closure(actual, now, scale), h, conditions, drive)
 
     def matrix_at(
@@ -321,19 +313,19 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         evaluation: Evaluation,
         constants: StepConstants,
         start: StepStart,
-        lines: dict[str, FrictionLine] | None = None,
+        lines: SecantLines | None = None,
     ) -> IterationMatrix:
-        """The iteration matrix at other unknowns than the prediction, where there is friction or contact, whose
-        tangents change much within a step; `lines` instead of the tangents of friction (theory (12.6), (12.9))."""
+        """The iteration matrix at other unknowns than the prediction, where tangents of forces change much within a
+        step; `lines` instead of tangents, where they are given (theory (12.6), (12.9))."""
         h, (conditions, trajectory, memory) = constants.length, start
         actual = conditions.actual
-        if not _renews(actual):
+        if not nonsmooth_forces.change_within_steps(actual):
             return matrix
         drive = conditions.drives.at(constants.end, conditions.phase)
         state, _ = self.formulas.end_of_step(h, trajectory, memory, unknowns.accelerations, actual.topology, drive)
-        ahead = friction_delay(constants, start)
+        ahead = force_delay(constants, start)
         factor = self.formulas.factors(h)[1] + (0.0 if ahead is None else ahead)
-        friction = friction_tangent(actual, states_in(evaluation.laws), factor, lines)
+        friction = nonsmooth_forces.tangent(actual, evaluation.laws, factor, lines)
         return self._matrix(
             matrix.operators, state, evaluation.motion, evaluation.closure, h, conditions, drive, friction
         )
@@ -380,7 +372,7 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         drive = conditions.drives.at(constants.end, conditions.phase)
         accelerations, multipliers = unknowns
         state, auxiliary = self.formulas.end_of_step(h, trajectory, memory, accelerations, actual.topology, drive)
-        ahead = friction_delay(constants, start)
+        ahead = force_delay(constants, start)
         evaluation = evaluate_residual(actual, state, accelerations, multipliers, drive, scale, ahead)
         evaluation = self.formulas.closing_as_acceleration(evaluation, h)
         return evaluation, step_end(evaluation, unknowns, state, auxiliary, drive, h, start)
@@ -399,16 +391,9 @@ class GeneralisedAlphaSolver(diffrax.AbstractSolver[Memory]):
         drive = conditions.drives.at(constants.end, conditions.phase)
         accelerations, topology = unknowns.accelerations, actual.topology
         state, auxiliary = self.formulas.end_of_step(h, trajectory, memory, accelerations, topology, drive)
-        scale, ahead = conditions.stabilisation.scale, friction_delay(constants, start)
+        scale, ahead = conditions.stabilisation.scale, force_delay(constants, start)
         evaluation = with_wrenches(evaluation, wrenches, actual, state, *unknowns, drive, scale, ahead)
         return step_end(evaluation, unknowns, state, auxiliary, drive, h, start)
-
-
-def _renews(actual: ModelWithErrors) -> bool:
-    """Whether the iteration matrix changes much within a step."""
-    couplings = {} if actual.forces is None else actual.forces.couplings
-    flanks = any(one.gap is not None for one in couplings.values())
-    return actual.friction is not None or bool(actual.topology.clearances) or flanks
 
 
 def _with_prescribed(topology: Topology, drive: DriveInput, accelerations: Coordinates) -> Coordinates:

@@ -25,6 +25,7 @@ from jaxtyping import Array, Bool, Float
 
 from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.algebra.derivative_rules import active_inputs
+from rfem_jax.mechanics.forces.nonsmooth_forces import ForceMemory
 from rfem_jax.mechanics.implicit.condensation import LinkOperator
 from rfem_jax.mechanics.implicit.newton import (
     IterationMatrix,
@@ -33,7 +34,6 @@ from rfem_jax.mechanics.implicit.newton import (
     newton_increment,
 )
 from rfem_jax.mechanics.implicit.residual import Evaluation, residual_of
-from rfem_jax.mechanics.laws.clearances import ContactMemory
 from rfem_jax.mechanics.model.model import Coordinates
 from rfem_jax.simulation.system.batches import with_batch_axes
 from rfem_jax.simulation.system.equations import Conditions, Integrals, Scalar, Trajectory
@@ -56,9 +56,8 @@ class Memory(NamedTuple):
 
     accelerations v' of the coordinates; auxiliary: the method's own accelerations a; multipliers [N]; rates: time
     derivatives of the integrals; residual [N]: largest force that the residual of the last step has, and
-    largest_residual [N] that of all steps so far; contacts: with restitution, what they remembered in the last step
-    (theory (15.6)), None without any; following: how steps have followed contacts, None where they do not; begun: with
-    friction, 1 after a step, 0 before; earlier: accelerations of the joints' coordinates a step before, None where the
+    largest_residual [N] that of all steps so far; forces: what forces remember; following: how steps have followed
+    contacts, None where they do not; earlier: accelerations of the joints' coordinates a step before, None where the
     first guess does not go on from them.
     """
 
@@ -68,9 +67,8 @@ class Memory(NamedTuple):
     rates: Integrals
     residual: Float[Array, ""]
     largest_residual: Float[Array, ""]
-    contacts: dict[str, ContactMemory] | None = None
+    forces: ForceMemory = ForceMemory()
     following: Following | None = None
-    begun: Float[Array, ""] | None = None
     earlier: Float[Array, " freedoms"] | None = None
 
 

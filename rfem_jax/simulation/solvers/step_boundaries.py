@@ -12,10 +12,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from rfem_jax.mechanics.dynamics import loads
-from rfem_jax.mechanics.forces.bush_contacts import contact_losses, contact_memory, with_memory
-from rfem_jax.mechanics.forces.friction import losses
+from rfem_jax.mechanics.forces import nonsmooth_forces
 from rfem_jax.mechanics.implicit.residual import Evaluation, residual_forces
-from rfem_jax.mechanics.kinematics.motion import motion_of
 from rfem_jax.mechanics.kinematics.slender_links import completed_state
 from rfem_jax.mechanics.model.inputs import DriveInput
 from rfem_jax.mechanics.model.model import Coordinates, State
@@ -44,7 +42,7 @@ def step_end(
     joint = loads.loads_of_wrenches(actual.topology, evaluation, evaluation.wrenches, drive)
     axial, normal, moment = equations.squares(actual.topology, joint)
     work = equations.applied_power(actual.topology, state, drive, joint, evaluation)
-    lost = losses(evaluation.laws), contact_losses(actual.topology, evaluation.frame_loads)
+    lost = nonsmooth_forces.losses(actual.topology, evaluation.laws, evaluation.frame_loads)
     rates = Integrals(axial, normal, moment, work, evaluation.dissipated, *lost)
     integrals = jax.tree.map(
         lambda sum, old, new: sum + 0.5 * h * (old + new),
@@ -66,7 +64,7 @@ def step_end(
             rates=rates,
             residual=residual,
             largest_residual=most,
-            begun=None if memory.begun is None else jnp.ones_like(memory.begun),
+            forces=nonsmooth_forces.after_step(memory.forces),
             earlier=earlier,
         ),
     )
@@ -78,25 +76,17 @@ def with_least_reactions(actual: ModelWithErrors, evaluation: Evaluation) -> Eva
     return evaluation._replace(wrenches=wrenches)
 
 
-def friction_delay(constants: StepConstants, start: StepStart) -> Float[Array, ""] | None:
-    """Time [s] by which friction is taken later, in steps of length zero but the first one, which tells the loads at
-    the start (theory (12.10)); None without friction."""
-    ahead, begun = start.conditions.ahead, start.memory.begun
-    if ahead is None or begun is None:
-        return None
-    return jnp.where(constants.length > 0.0, 0.0, begun * ahead)
+def force_delay(constants: StepConstants, start: StepStart) -> Float[Array, ""] | None:
+    """Time [s] by which forces are taken later in this step, None where none are."""
+    return nonsmooth_forces.delay(start.memory.forces, start.conditions.ahead, constants.length)
 
 
 def remembering(start: StepStart) -> StepStart:
-    """The start of a step whose contacts remember how they began."""
+    """The start of a step whose forces remember how they began."""
     conditions, trajectory, memory = start
-    actual = conditions.actual
-    if memory.contacts is None:
-        return start
-    motion = motion_of(actual, State(trajectory.position, trajectory.velocity))
-    contacts = contact_memory(actual, motion, memory.contacts)
-    conditions = dataclasses.replace(conditions, actual=with_memory(actual, contacts))
-    return StepStart(conditions, trajectory, memory._replace(contacts=contacts))
+    state = State(trajectory.position, trajectory.velocity)
+    actual, forces = nonsmooth_forces.remembered(conditions.actual, state, memory.forces)
+    return StepStart(dataclasses.replace(conditions, actual=actual), trajectory, memory._replace(forces=forces))
 
 
 def squared_moments(trajectory: Trajectory, memory: Memory, t: Scalar) -> Float[Array, ""]:

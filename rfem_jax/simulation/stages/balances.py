@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from rfem_jax.mechanics.elements.linear_validity import linear_error
+from rfem_jax.mechanics.forces.nonsmooth_forces import may_be_only_loads
 from rfem_jax.mechanics.implicit.residual import rounding_force
 from rfem_jax.mechanics.model.model import Model, length_scale
 from rfem_jax.mechanics.model.status import (
@@ -102,7 +103,7 @@ def largest_force(carry: Carry) -> Float[Array, ""]:
 def force_or_moment(model: Model, force: Float[Array, ""], moment: Float[Array, ""]) -> Float[Array, ""]:
     """A largest force [N], or with friction, whose moments may be the only loads, a moment [N m] over the longest link
     where that is larger."""
-    return force if model.friction is None else jnp.maximum(force, moment / length_scale(model))
+    return jnp.maximum(force, moment / length_scale(model)) if may_be_only_loads(model) else force
 
 
 def force_scale(

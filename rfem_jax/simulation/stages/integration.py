@@ -29,7 +29,7 @@ from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.algebra.reordering import rows
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.dynamics.centre_lines import link_lines
-from rfem_jax.mechanics.forces.bush_contacts import with_memory
+from rfem_jax.mechanics.forces.nonsmooth_forces import depend_on_coming_motion, with_memory
 from rfem_jax.mechanics.model.errors import AssemblyErrors, assembly_errors
 from rfem_jax.mechanics.model.model import Model, State
 from rfem_jax.mechanics.model.status import (
@@ -87,7 +87,7 @@ def grid_for(
         )
     rows = all_step_ends(drive, model, longest_interval(duration, method.step, save_every))
     per_row = method.steps_per_row if isinstance(method, GeneralisedAlpha) else None
-    from_start = model is not None and model.friction is not None
+    from_start = model is not None and depend_on_coming_motion(model)
     return divide_time(
         duration, method.step, save_every, all_jumps(drive, model), method.implicit, from_start, rows, per_row
     )
@@ -230,8 +230,8 @@ def observe_ends(
 
         def record(entry, end):
             here = actual
-            if end.memory is not None and end.memory.contacts is not None:
-                here = with_memory(actual, end.memory.contacts)
+            if end.memory is not None:
+                here = with_memory(actual, end.memory.forces)
             conditions = Conditions(here, drives, entry.phase, stabilisation)
             t, h = entry.start + entry.length, last_step(integration.grid, entry, integration.steps)
             squares, state, now, instant = solver.instant(t, h, end.trajectory, end.memory, conditions)

@@ -22,6 +22,7 @@ from jaxtyping import Array, Bool, Float, Int, PyTree, Shaped
 from rfem_jax.description.methods import GeneralisedAlpha, Method
 from rfem_jax.mechanics.forces.bush_contacts import require_memory
 from rfem_jax.mechanics.forces.friction import require_implicit
+from rfem_jax.mechanics.forces.nonsmooth_forces import depend_on_coming_motion
 from rfem_jax.mechanics.model.inputs import Stabilisation
 from rfem_jax.mechanics.model.model import Model
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors, with_structural_zeros
@@ -220,7 +221,7 @@ class Integration(eqx.Module):
 
     def _conditions(self, actual: ModelWithErrors, entry: Entry) -> Conditions:
         """Arguments of the equations of motion within an interval, without operators."""
-        ahead = None if self.model.friction is None else self.grid.longest_step(self.steps)
+        ahead = self.grid.longest_step(self.steps) if depend_on_coming_motion(self.model) else None
         actual = with_structural_zeros(actual)
         return Conditions(actual, self.drives, entry.phase, self.stabilisation, ahead=ahead)
 

@@ -15,10 +15,9 @@ from jaxtyping import Array, Float, Int
 
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.dynamics.dynamics import Accelerations, accelerations
-from rfem_jax.mechanics.forces import friction
-from rfem_jax.mechanics.forces.bush_contacts import contact_losses
 from rfem_jax.mechanics.forces.element_loads import FrameLoads
 from rfem_jax.mechanics.forces.joint_forces import LawForces, rate_about_axis
+from rfem_jax.mechanics.forces.nonsmooth_forces import losses
 from rfem_jax.mechanics.implicit.condensation import LinkOperator
 from rfem_jax.mechanics.kinematics.motion import Motion
 from rfem_jax.mechanics.kinematics.slender_links import completed_state
@@ -87,6 +86,7 @@ def right_hand_side(t: Scalar, trajectory: Trajectory, conditions: Conditions) -
     """Time derivative of the integrated state at the time t [s]."""
     state, drive, result, joint = at_instant(t, trajectory, conditions)
     axial, normal, moment = squares(conditions.actual.topology, joint)
+    lost = losses(conditions.actual.topology, result.laws, result.frame_loads)
     return Trajectory(
         position=position_rate(conditions.actual.topology, state.position, state.velocity),
         velocity=result.coordinates,
@@ -96,8 +96,8 @@ def right_hand_side(t: Scalar, trajectory: Trajectory, conditions: Conditions) -
             moment_square=moment,
             work=applied_power(conditions.actual.topology, state, drive, joint, result),
             dissipation=result.dissipated,
-            friction=friction.losses(result.laws),
-            contacts=contact_losses(conditions.actual.topology, result.frame_loads),
+            friction=lost.friction,
+            contacts=lost.contacts,
         ),
     )
 
