@@ -23,6 +23,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float
 
+from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.model.model import Coordinates
 
 TOLERANCE = 1e-10
@@ -43,6 +44,8 @@ SMALLEST_LOAD_STEP = 1e-3
 LARGEST_ROTATION_OF_A_STEP = 0.7  # rad
 
 Linear = Callable[[Float[Array, " n"]], Float[Array, " n"]]
+# Matrix, values -> unknowns.
+DenseSolver = Callable[[Float[Array, "n n"], Float[Array, " n"]], Float[Array, " n"]]
 # Unknowns, args and most iterations -> unknowns, whether they were found, and the last Jacobian.
 Solver = Callable[[Array, Any, int], tuple[Array, Array, Array | None]]
 
@@ -58,7 +61,7 @@ class Equations(NamedTuple):
     residual: Callable[[Float[Array, " n"], Any], Float[Array, " n"]]
     coordinates: Callable[[Float[Array, " n"]], Coordinates]
     n_coordinates: int
-    solve: Callable[[Float[Array, "n n"], Float[Array, " n"]], Float[Array, " n"]]
+    solve: DenseSolver
 
 
 def chord(
@@ -104,25 +107,29 @@ def chord(
     return end, converged, matrix, back
 
 
-def solve_dense(equations: Equations, linear: Linear, value: Float[Array, " n"]) -> Float[Array, " n"]:
+def solve_dense(solve: DenseSolver, linear: Linear, value: Float[Array, " n"]) -> Float[Array, " n"]:
     """Solution of linear(x) = value with the dense matrix of a linear function."""
-    return equations.solve(jax.vmap(linear, out_axes=1)(_units(jnp.zeros_like(value))[0]), value)
+    return solve(jax.vmap(linear, out_axes=1)(_units(jnp.zeros_like(value))[0]), value)
 
 
 def solve_linear(
-    equations: Equations, preconditioner: Linear, linear: Linear, value: Float[Array, " n"]
+    solve: DenseSolver, preconditioner: Linear, linear: Linear, value: Float[Array, " n"]
 ) -> Float[Array, " n"]:
     """`solve_dense` by iterative refinement with a preconditioner, where that converges."""
 
     def refined(preconditioner, tolerance):
         def solved(linear, value):
-            x, found = _refine(linear, value, preconditioner, tolerance)
+            def solution(value):
+                x, found = _refine(linear, value, preconditioner, tolerance)
 
-            def dense(_):
-                return solve_dense(equations, linear, value), jnp.ones((), bool)
+                def dense(_):
+                    return solve_dense(solve, linear, value), jnp.ones((), bool)
 
-            hopeless = ~jnp.all(jnp.isfinite(value))
-            return jax.lax.while_loop(lambda carry: ~carry[1], dense, (x, found | hopeless))[0]
+                hopeless = ~jnp.all(jnp.isfinite(value))
+                return jax.lax.while_loop(lambda carry: ~carry[1], dense, (x, found | hopeless))[0]
+
+            # Never differentiated, by `custom_linear_solve`; XLA takes long to compile loops around kernels.
+            return kernel(solution, name="static solution", in_parts=True)(value)
 
         return solved
 

@@ -146,34 +146,35 @@ def settled(model: Model, actual: ModelWithErrors, held: dict[int, Float[Array, 
             value = scaled.with_open_multipliers(value, unknowns, *jax.lax.stop_gradient((actual, position)))
         return jnp.where(is_given, unknowns - angles @ onto, value)
 
-    angles = jnp.array([*held.values(), *(0.0 for _ in given[len(held) :])], float)
-    start = ravel_pytree(start_values(model))[0][given] if topology.slender else start_values(model).joints[given]
-    if any(topology.slides[k] for k in held):
-        angles, start = angles / scaled.units[given], start / scaled.units[given]
+    angles, start = _held_values(model, scaled, held, given)
     onto = (given[:, None] == np.arange(undeformed.size)).astype(float)
     is_given = onto.any(axis=0)
     args = actual, angles
     perfect = _unloaded(model), start
     guess = jnp.where(is_given, angles @ onto, undeformed)
-    perfect, undeformed, guess = jax.lax.stop_gradient((perfect, undeformed, guess))
-    equations = Equations(
-        kernel(lambda unknowns, args: residual(unknowns, scaled, args), name="static equations"),
-        scaled.coordinates,
-        n_coordinates=scaled.units.size,
-        solve=shortest_solution if topology.minimum_norm else solve_equations,
-    )
+    solve, tested = shortest_solution if topology.minimum_norm else solve_equations, is_tested(topology, held)
+
+    def search(scaled, starts, perfect, loaded):
+        equations = Equations(
+            kernel(lambda unknowns, args: residual(unknowns, scaled, args), name="static equations"),
+            scaled.coordinates,
+            n_coordinates=scaled.units.size,
+            solve=solve,
+        )
+        return _search(scaled, equations, given, starts, perfect, loaded, tested)
 
     # The search is not differentiated: its derivatives are those of the implicit function, taken at its result.
-    loaded = jax.lax.stop_gradient(args)
-    tested = is_tested(topology, held)
-    end, found, jacobian, stable = _search(scaled, equations, given, (undeformed, guess), perfect, loaded, tested)
+    arrays, static = eqx.partition((scaled, (undeformed, guess), perfect, args), eqx.is_array)
+    values = eqx.combine(jax.lax.stop_gradient(arrays), static)
+    if _by_structure(topology):  # else it solves for all unknowns at once, which takes kernels longer than LAPACK
+        search = kernel(search, name="static search", in_parts=True)
+    end, found, jacobian, stable = search(*values)
 
     def tangent_solve(linear, value, inputs, end):
         scaled, (actual, _) = inputs
-        if topology.exact or topology.minimum_norm or topology.massless or topology.clearances:
-            return solve_dense(equations, linear, value)
-        preconditioner = _preconditioner(scaled, given, actual, end)
-        return solve_linear(equations, preconditioner, linear, value)
+        if _by_structure(topology):
+            return solve_linear(solve, _preconditioner(scaled, given, actual, end), linear, value)
+        return solve_dense(solve, linear, value)
 
     equations_of = kernel(lambda x, inputs: residual(x, *inputs), name="static equations")
     unknowns = implicit_function(equations_of, tangent_solve, end, (scaled, args))
@@ -181,6 +182,23 @@ def settled(model: Model, actual: ModelWithErrors, held: dict[int, Float[Array, 
     found = found & jnp.all(jnp.isfinite(unknowns))
     status = _status_of(actual, position, found, scaled.length)
     return Settled(position, scaled.multipliers(unknowns), status, _tangent(scaled, jacobian, stable, end))
+
+
+def _by_structure(topology: Topology) -> bool:
+    """Whether the recursion over the links solves the static equations, all but exactly."""
+    return not (topology.exact or topology.minimum_norm or topology.massless or topology.clearances)
+
+
+def _held_values(
+    model: Model, scaled: ScaledUnknowns, held: dict[int, Float[Array, ""]], given: np.ndarray
+) -> tuple[Array, Array]:
+    """Values of the unknowns that are given, and at the undeformed start."""
+    topology = model.topology
+    values = jnp.array([*held.values(), *(0.0 for _ in given[len(held) :])], float)
+    start = ravel_pytree(start_values(model))[0][given] if topology.slender else start_values(model).joints[given]
+    if any(topology.slides[k] for k in held):
+        values, start = values / scaled.units[given], start / scaled.units[given]
+    return values, start
 
 
 def _tangent(scaled: ScaledUnknowns, jacobian: Array | None, stable: Bool[Array, ""], end: Array) -> Tangent | None:

@@ -27,6 +27,7 @@ from jaxtyping import ArrayLike, Float, Int
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.basics.errors import InputError
 from rfem_jax.description.basics.precision import require_float64
+from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.implicit.residual import evaluate_residual
 from rfem_jax.mechanics.kinematics.slender_links import with_displacements
@@ -190,18 +191,16 @@ def linearised(
     zeros, unravel = ravel_pytree(at_rest)
     n = zeros.size
 
-    def residual(change, rates, accelerations, change_of_multipliers):
+    def residual(changes, actual, position, multipliers, scale):
+        change, rates, accelerations, of_multipliers = jnp.split(changes, (n, 2 * n, 3 * n))
         state = State(moved(topology, position, unravel(change)), unravel(rates))
-        at = evaluate_residual(
-            actual, state, unravel(accelerations), multipliers + change_of_multipliers, DriveInput(), scale
-        )
+        at = evaluate_residual(actual, state, unravel(accelerations), multipliers + of_multipliers, DriveInput(), scale)
         forces = Coordinates(at.hinge, jnp.concatenate([at.force, at.moment]))
         return ravel_pytree(forces)[0], at.closing
 
-    def of_all(z):
-        return residual(z[:n], z[n : 2 * n], z[2 * n : 3 * n], z[3 * n :])
-
-    forces, closing = jax.jacfwd(of_all)(jnp.zeros(3 * n + topology.n_constraints))
+    forces, closing = jax.jacfwd(kernel(residual, name="linearised equations"))(
+        jnp.zeros(3 * n + topology.n_constraints), actual, position, multipliers, scale
+    )
     stiffness, damping, mass, by_multipliers = (
         -forces[:, :n],
         -forces[:, n : 2 * n],
@@ -242,30 +241,49 @@ def _lowest(
     scale = jnp.where(scale > 0.0, scale, 1.0)
     rows = constraints @ inverse.T
     rows = rows / jax.lax.stop_gradient(_sizes(rows))
-    args = stiffness / scale, rows
-    values, vectors, multipliers, separation, left_open = _eigenpairs(*jax.lax.stop_gradient(args), count)
+    stiffness = stiffness / scale
+    pairs, separation, left_open = _eigenpairs(*jax.lax.stop_gradient((stiffness, rows)), count)
+    found = _differentiable(pairs, stiffness, rows, left_open if redundant else jnp.zeros_like(left_open))
+    return found.value * scale, found.vector @ inverse, separation
 
-    def refined(value, vector, multiplier):
-        unknowns = {"value": value, "vector": vector, "multiplier": multiplier}
 
-        def equations(x):
-            matrix, rows = args
-            return {
-                "value": 0.5 * (x["vector"] @ x["vector"] - 1.0),
-                "vector": matrix @ x["vector"] - x["value"] * x["vector"] + x["multiplier"] @ rows,
-                # Rows that say nothing new leave multipliers open, which are zero.
-                "multiplier": rows @ x["vector"] + (left_open @ x["multiplier"] if redundant else 0.0),
-            }
+class Eigenpairs(NamedTuple):
+    """Eigenpairs of a symmetric matrix on the null space of rows: values, vectors of length one, multipliers of the
+    rows."""
 
-        def tangent_solve(linear, right):
-            flat, unravel = ravel_pytree(right)
-            matrix = jax.jacobian(lambda x: ravel_pytree(linear(unravel(x)))[0])(flat)
-            return unravel(jnp.linalg.solve(matrix, flat))
+    value: Float[Array, " modes"]
+    vector: Float[Array, "modes n"]
+    multiplier: Float[Array, "modes c"]
 
-        return jax.lax.custom_root(equations, unknowns, lambda _, x: x, tangent_solve)
 
-    found = jax.vmap(refined)(values, vectors, multipliers)
-    return found["value"] * scale, found["vector"] @ inverse, separation
+@jax.custom_jvp
+def _differentiable(
+    pairs: Eigenpairs, matrix: Float[Array, "n n"], rows: Float[Array, "c n"], left_open: Float[Array, "c c"]
+) -> Eigenpairs:
+    """Eigenpairs with their derivatives by the matrix and the rows; `left_open`: as of `_eigenpairs`."""
+    del matrix, rows, left_open
+    return pairs
+
+
+@_differentiable.defjvp
+def _by_implicit_functions(primals, tangents):
+    """Derivatives of the roots of theory (11.16), by theory (11.17)."""
+    _, matrix, rows, left_open = primals
+    _, of_matrix, of_rows, _ = tangents
+    n, c = matrix.shape[0], rows.shape[0]
+    pairs = _differentiable(*primals)
+
+    def change(value, vector, multiplier):
+        bordered = jnp.block([
+            [matrix - value * jnp.eye(n), rows.T, -vector[:, None]],
+            [rows, left_open, jnp.zeros((c, 1))],
+            [vector[None], jnp.zeros((1, c)), jnp.zeros((1, 1))],
+        ])  # fmt: skip
+        right = jnp.concatenate([of_matrix @ vector + multiplier @ of_rows, of_rows @ vector, jnp.zeros(1)])
+        found = -jnp.linalg.solve(bordered, right)
+        return Eigenpairs(found[n + c], found[:n], found[n : n + c])
+
+    return pairs, jax.vmap(change)(*pairs)
 
 
 def _sizes(rows: Float[Array, "c n"]) -> Float[Array, "c 1"]:
@@ -275,10 +293,9 @@ def _sizes(rows: Float[Array, "c n"]) -> Float[Array, "c 1"]:
     return jnp.where(sizes > RANK_TOLERANCE * largest, sizes, jnp.where(largest > 0.0, largest, 1.0))
 
 
-def _eigenpairs(matrix: Array, rows: Array, count: int) -> tuple[Array, Array, Array, Array, Array]:
-    """The lowest eigenpairs of a symmetric matrix on the null space of `rows`: values, vectors (modes, n), multipliers
-    (modes, c) of the rows, relative distances of the values, and the projector (c, c) onto multipliers that no row
-    determines."""
+def _eigenpairs(matrix: Array, rows: Array, count: int) -> tuple[Eigenpairs, Array, Array]:
+    """The lowest eigenpairs of a symmetric matrix on the null space of `rows`, relative distances (modes,) of their
+    values, and the projector (c, c) onto multipliers that no row determines."""
     n, c = matrix.shape[0], rows.shape[0]
     onto, inverse, left_open = jnp.zeros((n, n)), jnp.zeros((n, c)), jnp.zeros((c, c))
     if c:
@@ -295,4 +312,4 @@ def _eigenpairs(matrix: Array, rows: Array, count: int) -> tuple[Array, Array, A
     chosen = vectors[:, :count].T
     multipliers = -(chosen @ matrix - values[:count, None] * chosen) @ inverse
     apart = jnp.where(nearest == 0.0, 0.0, nearest / jnp.abs(values[:count]))
-    return values[:count], chosen, multipliers, apart, left_open
+    return Eigenpairs(values[:count], chosen, multipliers), apart, left_open
