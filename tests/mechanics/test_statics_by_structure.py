@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from rfem_jax import Coordinates, Joint, Mechanism, assembly_errors, discretise
+from rfem_jax.kernels import is_available
 from rfem_jax.mechanics.model.status import NOT_ASSEMBLED, OK
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics import search, settling, static_equations
@@ -78,6 +79,17 @@ def test_recursion_alone_finds_the_equilibrium_and_its_derivatives(make, monkeyp
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-8 * np.abs(other).max())
     *_, backward, ahead = found
     np.testing.assert_allclose(backward, ahead, rtol=1e-9)
+
+
+@pytest.mark.skipif(not is_available(), reason="llvmlite gives kernels their machine code")
+@pytest.mark.parametrize("derivative", [jax.jacfwd, jax.jacrev])
+def test_no_loop_around_kernels_is_left_to_xla(derivative):
+    """Which takes seconds to compile them, for the search, which has no derivatives, and for the refinement in those of
+    the equilibrium."""
+    at = equilibria(lambda: four_bar(2))
+    text = jax.jit(jax.vmap(derivative(lambda share: at(share, 0.05)[0]))).lower(jnp.ones(3)).as_text()
+    assert "kernel_" in text
+    assert "stablehlo.while" not in text
 
 
 @pytest.mark.slow
