@@ -267,7 +267,7 @@ def _differentiable(
 
 @_differentiable.defjvp
 def _by_implicit_functions(primals, tangents):
-    """Derivatives of the roots of theory (11.16), by theory (11.17)."""
+    """Derivatives of the roots of theory (11.16) by the implicit function theorem; that of a value is (11.17)."""
     _, matrix, rows, left_open = primals
     _, of_matrix, of_rows, _ = tangents
     n, c = matrix.shape[0], rows.shape[0]
