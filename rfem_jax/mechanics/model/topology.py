@@ -15,7 +15,7 @@ joints; freedoms F: coordinates of the tree joints; constraints: closure equatio
 """
 
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -404,8 +404,7 @@ class Topology(NamedTuple):
 
 def _ranges(counts: Sequence[int]) -> tuple[range, ...]:
     """Consecutive ranges of given lengths."""
-    stops = np.cumsum([0, *counts]).tolist()
-    return tuple(range(a, b) for a, b in pairwise(stops))
+    return tuple(range(a, b) for a, b in pairwise(accumulate(counts, initial=0)))
 
 
 def rfe_fractions(elements: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
