@@ -51,7 +51,9 @@ SAME = frozenset(
 )
 # Rules that hand their operands on to a jaxpr, and those that only move the entries of a single one.
 HANDED_ON = frozenset(["kernel", "custom_linear_solve", "while", "scan", "cond"])
-MOVED = frozenset(["broadcast_in_dim", "expand_dims", "reshape", "rev", "slice", "split", "squeeze", "transpose"])
+MOVED = frozenset(
+    ["broadcast_in_dim", "expand_dims", "reshape", "rev", "slice", "split", "squeeze", "tile", "transpose"]
+)
 
 # Primitives of others, by functions of JAX's own primitives.
 _EXPANSIONS: dict[str, Callable] = {}
@@ -340,6 +342,9 @@ class Emitter(Places):
 
     def _squeeze(self, equation, x):
         return [np.squeeze(x, tuple(equation.params["dimensions"]))]
+
+    def _tile(self, equation, x):
+        return [np.tile(x, equation.params["reps"])]
 
     def _transpose(self, equation, x):
         return [x.transpose(equation.params["permutation"])]

@@ -97,7 +97,7 @@ def sums(x):
         jnp.cumprod(table, axis=0), jax.lax.cummax(table, axis=1, reverse=True),
         jax.lax.cummin(table), jnp.prod(table, axis=0), jnp.argmax(table, axis=1), jnp.argmin(table),
         jnp.argmax(jnp.where(table[0] > 0.3, jnp.nan, table[0])), jnp.round(9.0 * table),
-        jax.lax.round(9.0 * table, jax.lax.RoundingMethod.AWAY_FROM_ZERO),
+        jax.lax.round(9.0 * table, jax.lax.RoundingMethod.AWAY_FROM_ZERO), jnp.tile(table[:2], (2, 3)),
     )  # fmt: skip
 
 

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float
 
+from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.forces.bush_contacts import pins_of
 from rfem_jax.mechanics.forces.element_loads import element_pose
@@ -63,9 +64,13 @@ class _Search(NamedTuple):
 
     def poses(self, unknowns: Array, actual: ModelWithErrors) -> list[Pose]:
         """Poses of the pins in their bushes."""
-        state = loads.static_state(actual.topology, self.equations.coordinates(unknowns))
-        motion = motion_of(actual, state)
-        return [element_pose(actual.topology, motion, pin) for pin in pins_of(actual).values()]
+
+        def poses(unknowns, actual):
+            state = loads.static_state(actual.topology, self.equations.coordinates(unknowns))
+            motion = motion_of(actual, state)
+            return [element_pose(actual.topology, motion, pin) for pin in pins_of(actual).values()]
+
+        return kernel(poses, name="poses of pins")(unknowns, actual)
 
     def linearised(
         self, unknowns: Array, args: Any, at: list[Pose], wrenches: Array
@@ -73,12 +78,12 @@ class _Search(NamedTuple):
         """Of the mechanism whose pins stiff springs hold at their present poses and that exert the given wrenches:
         residual, Jacobian, derivative of the residual by these wrenches (n, 6 pins), and of the poses by the unknowns
         (6 pins, n)."""
-        pins, n = pins_of(args[0]), unknowns.size
-        names = [clearance_name(joint) for joint in pins]
-        springs = self.units.stiffnesses(holding(list(pins.values()), self.units))
+        n = unknowns.size
 
-        def of(both, args):
-            unknowns, (actual, angles) = both[:n], args
+        def of(both, inputs):
+            unknowns, (at, springs, (actual, angles)) = both[:n], inputs
+            pins = pins_of(actual)
+            names = [clearance_name(joint) for joint in pins]
             parts = zip(pins.values(), at, self.units.wrenches(both[n:]), springs, strict=True)
             held = [HeldPin(pin.parent, pin.child, pose, *wrench, spring) for pin, pose, wrench, spring in parts]
             changed = eqx.tree_at(lambda a: [a.frame_forces.elements[name] for name in names], actual, held)
@@ -86,7 +91,9 @@ class _Search(NamedTuple):
             change = [change_of(*pair) for pair in zip(self.poses(unknowns, actual), at, strict=True)]
             return jnp.concatenate([value, jnp.concatenate(change) / self.units.of_poses(len(change))])
 
-        value, jacobian = linearised(of, jnp.concatenate([unknowns, wrenches]), args)
+        springs = self.units.stiffnesses(holding(list(pins_of(args[0]).values()), self.units))
+        held_equations = kernel(of, name="equations with held pins")
+        value, jacobian = linearised(held_equations, jnp.concatenate([unknowns, wrenches]), (at, springs, args))
         return value[:n], jacobian[:n, :n], jacobian[:n, n:], jacobian[n:, :n]
 
     def newton(self, start: Array, args: Any, iterations: int) -> tuple[Array, Array, None]:
@@ -142,5 +149,10 @@ def search_contact(
     near, converged = search.chord(guess, undeformed, (shared, perfect[1]), loaded)
     rotation = equations.coordinates(near - guess).elastic[3:]
     converged = converged & (jnp.max(jnp.abs(rotation), initial=0.0) < LARGEST_ROTATION_OF_A_STEP)
-    end, reached, _ = load_steps(equations, undeformed, perfect, loaded, search.newton, converged)
+
+    def followed(undeformed, perfect, loaded, converged):
+        return load_steps(equations, undeformed, perfect, loaded, search.newton, converged)[:2]
+
+    follow = kernel(followed, name="contacts under growing loads", in_parts=True)
+    end, reached = follow(undeformed, perfect, loaded, converged)
     return jnp.where(converged, near, end), reached

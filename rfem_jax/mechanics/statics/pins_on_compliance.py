@@ -21,6 +21,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
+from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.algebra.vectors import product, product_transposed, solve_equations
 from rfem_jax.mechanics.laws.clearances import PinInBush
 from rfem_jax.mechanics.laws.frame_forces import START, FrameForce, NodeFrame, Pose, Time
@@ -105,6 +106,7 @@ def _moved(poses: list[Pose], change: Float[Array, " k"], units: Units) -> list[
     return found
 
 
+@kernel
 def pins_at_rest(
     pins: list[PinInBush], poses: list[Pose], free: Float[Array, " k"], compliance: Float[Array, "k k"], units: Units
 ) -> Float[Array, " k"]:
