@@ -1,5 +1,6 @@
 """The compiled program: its size, what retraces it, and a failed run in a batch."""
 
+import math
 from dataclasses import replace
 
 import equinox as eqx
@@ -168,10 +169,25 @@ def test_bad_arguments_are_refused(small):
         assembly_errors(small.model, {"D.delta_xx": 0.1})
     with pytest.raises(InputError, match="`hold` must name joints of the tree"):
         assemble(small.model, assembly_errors(small.model), hold={"C": 0.0})
+    for value, said in (
+        ("x", "`hold.A` must start with a number"),
+        ("1 mm", "must be an angle"),
+        (None, "`hold` must hold"),
+    ):
+        with pytest.raises(InputError, match=said):
+            assemble(small.model, hold={"A": value})
+    with pytest.raises(InputError, match="`hold` must be a table"):
+        assemble(small.model, hold=0.5)
     with pytest.raises(InputError, match="`rfes` must be a whole number"):
         discretise(four_bar(), rfes=1)
     with pytest.raises(InputError, match="`duration` must be greater than 0"):
         simulate(Simulation(small.model, **{**small.settings, "duration": 0.0}), None)
+
+
+def test_joints_are_held_at_values_with_a_unit(small):
+    by_unit, by_number = (assemble(small.model, hold={"A": value}) for value in ("57 deg", math.radians(57.0)))
+    assert by_unit.status == 0
+    np.testing.assert_array_equal(by_unit.state.position.joints, by_number.state.position.joints)
 
 
 def test_what_cannot_close_is_refused():

@@ -125,7 +125,7 @@ def deviations(model: Model, values: Mapping[str, ArrayLike | str] | None = None
     errors, parameters = {}, {}
     names = NO_PARAMETERS if model.source is None else model.source.blueprint.names
     for name, value in (values or {}).items():
-        _require_number(name, value)
+        require_number(name, value)
         if name in names and name not in model.topology.error_names:
             number = quantity(value, names[name].dimension, f"error {name!r}") if isinstance(value, str) else value
             parameters[name] = jnp.asarray(number, jnp.float64)
@@ -202,16 +202,16 @@ def require_errors_of(topology: Topology, errors: AssemblyErrors) -> None:
     )
 
 
-def _require_number(name: str, value: ArrayLike | str) -> None:
-    """Raise InputError for the value of an error that is neither a real number nor a string."""
+def require_number(name: str, value: ArrayLike | str, argument: str = "errors") -> None:
+    """Raise InputError for a value in a table that is neither a real number nor a string."""
     if isinstance(value, str):
         return
     kind = value.dtype.kind if isinstance(value, Tracer) else np.asarray(value).dtype.kind
     if kind not in "fiu" or np.ndim(value) != 0:
         what = f"an array of the shape {np.shape(value)}" if np.ndim(value) else repr(value)
         raise InputError(
-            f"Argument `errors` must hold numbers, but {name!r} is {what}; give a number in SI units or a string with "
-            "a unit, and map over several by jax.vmap."
+            f"Argument `{argument}` must hold numbers, but {name!r} is {what}; give a number in SI units or a string "
+            "with a unit, and map over several by jax.vmap."
         )
 
 
@@ -232,8 +232,13 @@ def _insert(
 ) -> AssemblyErrors:
     """The errors with `values` at `places` of the arrays named `parts`."""
     arrays = {field.name: getattr(errors, field.name) for field in dataclasses.fields(errors)}
-    for part, place, value in zip(parts, places, values):
-        arrays[part] = arrays[part].at[place].set(value)
+    for part in dict.fromkeys(parts):
+        array, own = arrays[part], [i for i, one in enumerate(parts) if one == part]
+        # All at once, and read, not written: of one after the other XLA would make a program of its own each.
+        order = np.arange(array.size).reshape(array.shape)
+        for n, i in enumerate(own):
+            order[places[i]] = array.size + n
+        arrays[part] = jnp.concatenate([array.reshape(-1), jnp.stack([values[i] for i in own])])[order]
     return AssemblyErrors(**arrays)
 
 

@@ -12,12 +12,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import ArrayLike, Float, Int
 
 from rfem_jax.compilation.program import Program
 from rfem_jax.description.basics.errors import InputError, require_choice, suggestion
+from rfem_jax.description.basics.units import quantity
 from rfem_jax.description.mechanism.mechanism import AS_GIVEN, EQUILIBRIUM, STARTS
 from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.dynamics import loads
@@ -30,7 +32,7 @@ from rfem_jax.mechanics.forces.joint_forces import (
 )
 from rfem_jax.mechanics.kinematics.cut_joints import closure
 from rfem_jax.mechanics.kinematics.motion import motion_of
-from rfem_jax.mechanics.model.errors import AssemblyErrors, Errors
+from rfem_jax.mechanics.model.errors import AssemblyErrors, Errors, require_number
 from rfem_jax.mechanics.model.inputs import DriveInput
 from rfem_jax.mechanics.model.model import Model, State, length_scale
 from rfem_jax.mechanics.model.with_errors import ModelWithErrors, apply_errors
@@ -72,21 +74,22 @@ class Assembled(NamedTuple):
 def assemble(
     model: Model,
     errors: Errors | None = None,
-    hold: Mapping[str, ArrayLike] | str | None = None,
+    hold: Mapping[str, ArrayLike | str] | str | None = None,
     *,
     design: Design | None = None,
 ) -> Assembled:
     """Assemble the mechanism: static equilibrium with some joints held.
 
     **Arguments:** `errors` from `assembly_errors`, or {name: value} (None: perfect); `hold`: name of a joint with one
-    coordinate -> its angle [rad] or displacement [m]; None holds the coordinates that drives act on at their start, {}
-    holds nothing; "as_given" holds at their start, besides, the coordinates that stand for the freedoms that no drive
-    holds, as a simulation does; `design`: from `rfem_jax.design`.
+    coordinate -> its angle [rad] or displacement [m], or a string with a unit; None holds the coordinates that drives
+    act on at their start, {} holds nothing; "as_given" holds at their start, besides, the coordinates that stand for
+    the freedoms that no drive holds, as a simulation does; `design`: from `rfem_jax.design`.
 
     **Returns:** state (velocities zero), preload (gravity and holding moment included) and status
     (0 = ok; see `STATUS`). Differentiable with respect to errors, held angles and the numbers of the design.
 
-    **Raises:** `InputError` if `hold` names a joint that is not a joint of the tree or has not one coordinate.
+    **Raises:** `InputError` if `hold` names a joint that is not a joint of the tree or has not one coordinate, or has a
+    value that is no number.
     """
     hold = checked_hold(model, hold)
     made = designed(model, design, errors)
@@ -101,18 +104,38 @@ def _assemble(model: Model, errors: AssemblyErrors, hold: dict[str, Array] | str
     state = loads.static_state(model.topology, found.position)
     carried = static_loads(model, actual, state, found.multipliers)
     leaving = stability(model, actual, held, state, found.tangent, carried)
-    contacts = contact_states(actual, motion_of(actual, state)) if model.topology.clearances else None
-    error = linear_error(linear_range(actual, found.position))
+    contacts = _contacts_at(actual, state) if model.topology.clearances else None
+    error = linear_error(kernel(linear_range)(*jax.lax.stop_gradient((actual, found.position))))
     status = status_at_rest(found.status, leaving)
     return Assembled(state, named(model, carried), status, contacts=contacts, linear_error=error, stability=leaving)
 
 
-def checked_hold(model: Model, hold: Mapping[str, ArrayLike] | str | None) -> dict[str, Array] | str | None:
-    """The argument `hold` of `assemble` with arrays. Raises `InputError` as `held_angles`."""
+@kernel
+def _contacts_at(actual: ModelWithErrors, state: State) -> dict[str, ContactState]:
+    return contact_states(actual, motion_of(actual, state))
+
+
+def checked_hold(model: Model, hold: Mapping[str, ArrayLike | str] | str | None) -> dict[str, Array] | str | None:
+    """The argument `hold` of `assemble` with arrays. Raises `InputError` as `assemble`."""
     if hold is None or isinstance(hold, str):
         return None if hold is None else require_choice(hold, (AS_GIVEN,), "hold")
+    if not isinstance(hold, Mapping):
+        raise InputError(
+            f"Argument `hold` must be a table of values by the names of joints, but is {hold!r}; write for example "
+            f'{{"{model.topology.joints[0]}": "30 deg"}}.'
+        )
     _require_tree_joints(model, hold)
-    return {name: jnp.asarray(angle, jnp.float64) for name, angle in hold.items()}
+    return {name: jnp.asarray(_held_value(model, name, value), jnp.float64) for name, value in hold.items()}
+
+
+def _held_value(model: Model, name: str, value: ArrayLike | str) -> ArrayLike:
+    """The value [rad, m] at which a joint is held, from a number or a string with a unit."""
+    require_number(name, value, "hold")
+    if not isinstance(value, str):
+        return value
+    topology = model.topology
+    (k,) = topology.own_coordinates[topology.joints.index(name)]
+    return quantity(value, "length" if topology.slides[k] else "angle", f"hold.{name}")
 
 
 def held_angles(model: Model, hold: Mapping[str, ArrayLike] | str | None) -> dict[int, Float[Array, ""]]:

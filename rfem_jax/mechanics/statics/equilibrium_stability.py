@@ -19,6 +19,7 @@ from jax import Array
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Bool, Float, PyTree
 
+from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.algebra.definiteness import constrained, lowest_direction, orthonormal_rows, positive
 from rfem_jax.mechanics.dynamics.energy_and_momentum import energies
 from rfem_jax.mechanics.dynamics.loads import JointLoads
@@ -116,15 +117,18 @@ def stability_of(
     topology = actual.topology
     if not free.size:
         return _moving(topology, jnp.zeros(()), jnp.zeros(tangent.units.size))
-    actual, state, tangent, loads = jax.lax.stop_gradient((actual, state, tangent, loads))
 
-    def growth_along(work: Array, along: Array) -> Array:
-        mass = 2.0 * energies(actual, State(state.position, unravel(tangent.units * along))).kinetic
-        rate = jnp.sqrt(jnp.maximum(-work * tangent.force * tangent.length, 0.0) / jnp.where(mass > 0.0, mass, 1.0))
-        return jnp.where(mass > 0.0, rate, jnp.inf)
+    def softest(actual, state, tangent, loads):
+        def growth_along(work: Array, along: Array) -> Array:
+            mass = 2.0 * energies(actual, State(state.position, unravel(tangent.units * along))).kinetic
+            rate = jnp.sqrt(jnp.maximum(-work * tangent.force * tangent.length, 0.0) / jnp.where(mass > 0.0, mass, 1.0))
+            return jnp.where(mass > 0.0, rate, jnp.inf)
 
-    unravel, load = ravel_pytree(state.velocity)[1], _load(tangent, loads)
-    return _moving(topology, *_softest(topology, tangent, free, load, growth_along, not _without_potential(actual)))
+        unravel, load = ravel_pytree(state.velocity)[1], _load(tangent, loads)
+        return _softest(topology, tangent, free, load, growth_along, not _without_potential(actual))
+
+    given = jax.lax.stop_gradient((actual, state, tangent, loads))
+    return _moving(topology, *kernel(softest, name="softest motion", in_parts=True)(*given))
 
 
 def _load(tangent: Tangent, loads: JointLoads) -> Float[Array, ""]:

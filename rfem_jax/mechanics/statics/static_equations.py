@@ -16,6 +16,7 @@ from jax import Array
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
+from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.algebra.vectors import apply_transposed, cross, dot
 from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.elements import elasticity
@@ -196,5 +197,6 @@ def _force_scale(model: Model, actual: ModelWithErrors) -> Array:
 def _applied(model: Model, actual: ModelWithErrors) -> Float[Array, ""]:
     """The largest force [N], or moment over the longest link, along a joint coordinate at the start."""
     length, none = length_scale(model), jnp.zeros(model.topology.n_constraints)
-    along, *_ = static_residual(actual, model.start_coordinates(), none, length)
+    given = jax.lax.stop_gradient((actual, model.start_coordinates(), none, length))
+    along, *_ = kernel(static_residual, name="static equations")(*given)
     return jnp.max(jnp.abs(along) * _joint_units(model.topology, length) / length, initial=0.0)

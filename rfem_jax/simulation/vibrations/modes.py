@@ -79,7 +79,7 @@ def natural_frequencies(
     model: Model,
     errors: Errors | None = None,
     *,
-    hold: Mapping[str, ArrayLike] | str | None = None,
+    hold: Mapping[str, ArrayLike | str] | str | None = None,
     locked: bool = True,
     count: int = 6,
     design: Design | None = None,
