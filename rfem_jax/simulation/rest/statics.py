@@ -13,9 +13,9 @@ of motion (theory (6.11)): nothing is integrated.
 saved times.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -244,10 +244,9 @@ def static_loads_at(
     return _named_results(made.model, actual, found, asked, paths, status_of(found.status, made))
 
 
-class _Found(NamedTuple):
-    """What there is at one position, by index; rates and accelerations of what is held."""
+class _Seen(NamedTuple):
+    """What follows from the loads at one position, by index."""
 
-    position: Coordinates
     holding: tuple[Float[Array, ""], ...]
     loads: loads.JointLoads
     squares: Float[Array, "4 joints"]
@@ -258,32 +257,39 @@ class _Found(NamedTuple):
     saved: dict[str, Any]
     balance: Float[Array, ""]
     linear_error: Float[Array, ""]
+    couplings: dict[str, CouplingHistory]
+
+
+class _Found(NamedTuple):
+    """What there is at one position; rates and accelerations of what is held."""
+
+    position: Coordinates
+    seen: _Seen
     status: Int[Array, ""]
     rates: Float[Array, " held"]
     accelerations: Float[Array, " held"]
-    couplings: dict[str, CouplingHistory]
     stability: Stability | None
 
 
 def _at_pose(model: Model, actual: ModelWithErrors, pose: ClosedPose, asked: Sequence[str]) -> _Found:
-    topology = model.topology
     model = posed(model, pose)
-    values = start_values(model).joints
-    held = topology.held_at_start
+    values, held, seen = start_values(model).joints, model.topology.held_at_start, partial(_seen, asked=asked)
     if pose.rates is None or pose.accelerations is None:
         zeros = jnp.zeros(len(held))
-        position, state, status, still, leaving = at_rest(model, actual, {k: values[k] for k in held})
-        rates, accelerated, whole = zeros, zeros, jax.tree.map(jnp.zeros_like, state.velocity)
-    else:
-        rates, accelerated = pose.rates, pose.accelerations
-        motions = {k: (values[k], rates[i], accelerated[i]) for i, k in enumerate(held)}
-        state, status, still, whole = in_motion(model, actual, motions)
-        position, leaving = state.position, None
-    axial, normal, moment = squares(topology, still.loads)
+        state, status, there, leaving = at_rest(model, actual, {k: values[k] for k in held}, seen)
+        return _Found(state.position, there, status, zeros, zeros, leaving)
+    motions = {k: (values[k], pose.rates[i], pose.accelerations[i]) for i, k in enumerate(held)}
+    state, status, there = in_motion(model, actual, motions, seen)
+    return _Found(state.position, there, status, pose.rates, pose.accelerations, None)
+
+
+def _seen(
+    model: Model, actual: ModelWithErrors, state: State, still: Still, accelerated: Coordinates, asked: Sequence[str]
+) -> _Seen:
+    axial, normal, moment = squares(model.topology, still.loads)
     zero = jnp.zeros(())
-    return _Found(
-        position=position,
-        holding=tuple(holding_load(model, still, k) for k in held),
+    return _Seen(
+        holding=tuple(holding_load(model, still, k) for k in model.topology.held_at_start),
         loads=still.loads,
         squares=jnp.stack([axial, normal, axial + normal, moment]),
         energy=energy_at(actual, state, zero, zero),
@@ -291,50 +297,62 @@ def _at_pose(model: Model, actual: ModelWithErrors, pose: ClosedPose, asked: Seq
         points=point_motions(actual, still.motion, still.angular, still.linear),
         contacts=contact_states(actual, still.motion),
         saved=_saved(model, actual, state, still, asked),
-        balance=jax.lax.stop_gradient(_balance(actual, state, still, whole)),
-        linear_error=linear_error(linear_range(actual, position)),
-        status=status,
-        rates=rates,
-        accelerations=accelerated,
+        balance=jax.lax.stop_gradient(_balance(actual, state, still, accelerated)),
+        linear_error=linear_error(linear_range(actual, state.position)),
         couplings=coupling_histories(still.laws),
-        stability=leaving,
     )
 
 
+T = TypeVar("T")
+# Of model, state, what loads follow from, and accelerations of all coordinates.
+See = Callable[[Model, ModelWithErrors, State, Still, Coordinates], T]
+
+
 def at_rest(
-    model: Model, actual: ModelWithErrors, held: dict[int, Float[Array, ""]]
-) -> tuple[Coordinates, State, Int[Array, ""], Still, Stability | None]:
-    """Position, state and status of the static equilibrium, what loads follow from, and how fast it is left, None where
-    that is not tested; `held`: as of `settled`."""
+    model: Model, actual: ModelWithErrors, held: dict[int, Float[Array, ""]], see: See[T]
+) -> tuple[State, Int[Array, ""], T, Stability | None]:
+    """State and status of the static equilibrium, what is to `see` there, and how fast it is left, None where that is
+    not tested; `held`: as of `settled`."""
     topology = model.topology
     found = settled(model, actual, held)
     state = loads.static_state(topology, found.position)
-    resting = closed_at_rest(model, actual, state, found.multipliers)
-    no_acceleration = jnp.zeros((3, actual.mass.shape[0]))
-    resting, wrenches = loads.moving_wrenches(actual, resting, no_acceleration, no_acceleration)
-    joint = loads.loads_of_wrenches(topology, resting, wrenches, DriveInput())
-    still = Still(
-        resting.motion, resting.closure, resting.laws, no_acceleration, no_acceleration, wrenches, resting.frame_loads,
-        joint,
-    )  # fmt: skip
-    leaving = stability(model, actual, held, state, found.tangent, joint)
-    return found.position, state, status_at_rest(found.status, leaving), still, leaving
+
+    def seen_at(model, actual, state, multipliers):
+        resting, no_acceleration = closed_at_rest(model, actual, state, multipliers), jnp.zeros((3, actual.mass.size))
+        resting, wrenches = loads.moving_wrenches(actual, resting, no_acceleration, no_acceleration)
+        joint = loads.loads_of_wrenches(topology, resting, wrenches, DriveInput())
+        still = Still(
+            resting.motion, resting.closure, resting.laws, no_acceleration, no_acceleration, wrenches,
+            resting.frame_loads, joint,
+        )  # fmt: skip
+        return joint, see(model, actual, state, still, jax.tree.map(jnp.zeros_like, state.velocity))
+
+    # A kernel to derivatives, too, which the whole, in parts, is not.
+    carried, seen = kernel(seen_at, name="loads at rest")(model, actual, state, found.multipliers)
+    leaving = stability(model, actual, held, state, found.tangent, carried)
+    return state, status_at_rest(found.status, leaving), seen, leaving
 
 
 def in_motion(
-    model: Model, actual: ModelWithErrors, motions: dict[int, tuple[Array, Array, Array]]
-) -> tuple[State, Int[Array, ""], Still, Coordinates]:
-    """State, status, what loads follow from, and accelerations of all coordinates of a mechanism of rigid links whose
-    held coordinates have these positions, rates and accelerations."""
+    model: Model, actual: ModelWithErrors, motions: dict[int, tuple[Array, Array, Array]], see: See[T]
+) -> tuple[State, Int[Array, ""], T]:
+    """State, status and what is to `see` of a mechanism of rigid links whose held coordinates have these positions,
+    rates and accelerations."""
     held, rates = ({k: of[i] for k, of in motions.items()} for i in (0, 1))
     state, _, status = moving_equilibrium(model, actual, held, rates)
-    drive, scale = DriveInput(motions=motions), length_scale(model)
-    state = impose(model.topology, state, drive)
-    zero = jnp.zeros(())  # the loops are closed: nothing is to be stabilised
-    result = dynamics.accelerations(actual, state, drive, Stabilisation(zero, zero, scale))
-    now = solved_instant(actual, result, drive, scale)
-    still = Still(now.motion, now.closure, now.laws, now.angular, now.linear, now.wrenches, now.frame_loads, now.loads)
-    return state, status, still, now.accelerations
+    state = impose(model.topology, state, DriveInput(motions=motions))
+
+    def seen_at(model, actual, state, motions):
+        drive, scale = DriveInput(motions=motions), length_scale(model)
+        zero = jnp.zeros(())  # the loops are closed: nothing is to be stabilised
+        result = dynamics.accelerations(actual, state, drive, Stabilisation(zero, zero, scale))
+        now = solved_instant(actual, result, drive, scale)
+        still = Still(
+            now.motion, now.closure, now.laws, now.angular, now.linear, now.wrenches, now.frame_loads, now.loads
+        )
+        return see(model, actual, state, still, now.accelerations)
+
+    return state, status, kernel(seen_at, name="loads in given motion")(model, actual, state, motions)
 
 
 def holding_load(model: Model, still: Still, k: int) -> Float[Array, ""]:
@@ -399,7 +417,7 @@ def _perfect_paths(model: Model, poses: ClosedPose, asked: Sequence[str]) -> dic
     found = jax.lax.map(lambda pose: _at_pose(model, actual, pose, ()), poses)
     zeros = jnp.zeros(found.status.shape)
     names = [name.rpartition(".")[0] for name in asked if asks_perfect_path([name])]
-    return {name: PerfectPath(found.points[name], zeros, zeros) for name in names}
+    return {name: PerfectPath(found.seen.points[name], zeros, zeros) for name in names}
 
 
 def _named_results(
@@ -413,30 +431,32 @@ def _named_results(
     """Results by the names of joints, links and held coordinates."""
     topology, joints = model.topology, found.position.joints
     labels = {topology.label_of(k): i for i, k in enumerate(topology.held_at_start)}
-    mean = jnp.mean(jnp.stack([found.squares[:, 2], found.squares[:, 3]], axis=1), axis=0)
+    mean = jnp.mean(jnp.stack([found.seen.squares[:, 2], found.seen.squares[:, 3]], axis=1), axis=0)
     without_axis = np.array([topology.kind(j).axis is None for j in range(len(topology.joints))])
     unknown = np.stack([without_axis, without_axis, *(2 * [np.zeros_like(without_axis)])])
-    highest = jnp.where(unknown, jnp.nan, safe_sqrt(jnp.max(found.squares, axis=0)))
+    highest = jnp.where(unknown, jnp.nan, safe_sqrt(jnp.max(found.seen.squares, axis=0)))
     order = [(name, topology.joints.index(name)) for name in model.joint_names]
     balls = ball_angles(model, joints)
     held = [_coordinate(model, joints, k) for k in topology.held_at_start]
     return StaticLoads(
         position={label: held[i] for label, i in labels.items()},
-        holding={label: found.holding[i] for label, i in labels.items()},
-        loads=Loads({name: Load(found.loads.force[:, :, j], found.loads.moment[:, :, j]) for name, j in order}),
+        holding={label: found.seen.holding[i] for label, i in labels.items()},
+        loads=Loads(
+            {name: Load(found.seen.loads.force[:, :, j], found.seen.loads.moment[:, :, j]) for name, j in order}
+        ),
         metrics=load_metrics(model, LoadSummary(mean, safe_sqrt(mean), highest)),
         angles=joint_coordinates(model, joints, balls, rotation=True),
         displacements=joint_coordinates(model, joints, balls, rotation=False),
-        energy=found.energy,
-        stress=found.stress,
-        points={name: PointPath.of(one, topology.plane) for name, one in found.points.items()},
-        contacts=found.contacts,
-        recorded=finished_records(model, actual, found.saved, None, asked, perfect),
-        checks=StaticChecks(jnp.max(found.balance), jnp.max(found.linear_error)),
+        energy=found.seen.energy,
+        stress=found.seen.stress,
+        points={name: PointPath.of(one, topology.plane) for name, one in found.seen.points.items()},
+        contacts=found.seen.contacts,
+        recorded=finished_records(model, actual, found.seen.saved, None, asked, perfect),
+        checks=StaticChecks(jnp.max(found.seen.balance), jnp.max(found.seen.linear_error)),
         status=status,
         rate={label: found.rates[:, i] for label, i in labels.items()},
         acceleration={label: found.accelerations[:, i] for label, i in labels.items()},
-        couplings=found.couplings,
+        couplings=found.seen.couplings,
         stability=found.stability,
     )
 

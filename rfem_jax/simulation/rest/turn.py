@@ -6,11 +6,13 @@ At every position the loops of the perfect rigid mechanism are closed first, and
 and weight is sought from there (theory (6.1)). No dynamics: what remains of the loads when the drive moves slowly.
 """
 
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
@@ -27,14 +29,14 @@ from rfem_jax.mechanics.dynamics.point_paths import point_motions
 from rfem_jax.mechanics.elements.linear_validity import linear_error, linear_range
 from rfem_jax.mechanics.forces.bush_contacts import ContactState, contact_states
 from rfem_jax.mechanics.model.errors import AssemblyErrors, Deviations, Errors, deviations_of
-from rfem_jax.mechanics.model.model import Model
-from rfem_jax.mechanics.model.with_errors import apply_errors
+from rfem_jax.mechanics.model.model import Coordinates, Model, State
+from rfem_jax.mechanics.model.with_errors import ModelWithErrors, apply_errors
 from rfem_jax.mechanics.statics.assembly import Load, held_angles, named
 from rfem_jax.mechanics.statics.designs import designed, status_of
 from rfem_jax.mechanics.statics.equilibrium_stability import Stability
 from rfem_jax.simulation.outcome.run import PointPath
 from rfem_jax.simulation.rest.poses import ClosedPose, posed, search_poses
-from rfem_jax.simulation.rest.statics import at_rest, holding_load, largest_stresses, shaking_at_rest
+from rfem_jax.simulation.rest.statics import Still, at_rest, holding_load, largest_stresses, shaking_at_rest
 from rfem_jax.simulation.system.equations import Numbers
 
 if TYPE_CHECKING:
@@ -171,9 +173,23 @@ def held_at(model: Model, errors: AssemblyErrors, pose: ClosedPose, stresses: bo
     """The mechanism held at one closed pose, with the stresses of its links if wanted; `axes`: as of
     `kinetostatic_turn`."""
     # Crooked pins are those of the start.
-    actual, topology = apply_errors(model, errors), model.topology
-    model = posed(model, pose)
-    position, state, status, still, leaving = at_rest(model, actual, held_angles(model, None))
+    actual, model = apply_errors(model, errors), posed(model, pose)
+    see = partial(_seen, stresses=stresses, axes=axes)
+    _, status, turn, leaving = at_rest(model, actual, held_angles(model, None), see)
+    return replace(turn, status=status, stability=leaving)
+
+
+def _seen(
+    model: Model,
+    actual: ModelWithErrors,
+    state: State,
+    still: Still,
+    _: Coordinates,
+    stresses: bool,
+    axes: str,
+) -> Turn:
+    """The turn at one position, but for its status and stability."""
+    topology = model.topology
     k = topology.driven_coordinate
     assert k is not None, "turns are of driven mechanisms"
     meshes = {} if still.laws is None else still.laws.couplings or {}
@@ -183,19 +199,18 @@ def held_at(model: Model, errors: AssemblyErrors, pose: ClosedPose, stresses: bo
     energy = energy_and_momentum.energies(actual, state)
     points = point_motions(actual, still.motion, still.angular, still.linear)
     return Turn(
-        position=position.joints[topology.driven_position],
+        position=state.position.joints[topology.driven_position],
         loads=named(model, still.loads),
         holding=holding_load(model, still, k),
         energy=energy.elastic + energy.gravity,
         stress=largest_stresses(model, actual, state, still) if stresses else {},
-        status=status,
+        status=jnp.zeros((), jnp.int32),
         contacts=contact_states(actual, still.motion),
-        linear_error=linear_error(linear_range(actual, position)),
+        linear_error=linear_error(linear_range(actual, state.position)),
         points={name: PointPath.of(one, topology.plane) for name, one in points.items()},
         in_axes=turned,
         couplings={name: mesh.loads for name, mesh in meshes.items()},
         shaking=None if model.shaking_point is None else shaking_at_rest(model, actual, still),
-        stability=leaving,
         slides=bool(topology.slides[k]),
         axes=axes,
     )
