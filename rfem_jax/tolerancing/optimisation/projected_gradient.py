@@ -89,13 +89,17 @@ def climb(
         largest number of them; tolerance on the residual (in units of x, so scale `function`).
     """
     start = project(start)
-    carry = _begin(project, start, *function(start))
+    # The start is the first trial of the loop, so that the function is compiled once.
+    unknown = _begin(project, start, jnp.zeros((), start.dtype), jnp.zeros_like(start))
+    unknown = unknown._replace(residual=jnp.full((), jnp.inf, start.dtype), evaluations=jnp.zeros((), jnp.int32))
 
     def advance(carry):
         trial = _trial(carry)
-        return _update(project, carry, trial, *function(trial))
+        found = trial, *function(trial)
+        first, next_ = _begin(project, *found), _update(project, carry, *found)
+        return jax.tree.map(lambda a, b: jnp.where(carry.evaluations == 0, a, b), first, next_)
 
-    last = jax.lax.while_loop(lambda c: _going(c, evaluations, tolerance), advance, carry)
+    last = jax.lax.while_loop(lambda c: _going(c, evaluations, tolerance), advance, unknown)
     return _end(last, tolerance)
 
 

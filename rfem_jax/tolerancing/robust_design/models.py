@@ -27,6 +27,7 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy.stats import beta
 
 from rfem_jax.compilation.program import Program
+from rfem_jax.kernels import kernel
 from rfem_jax.tolerancing.optimisation.augmented_lagrangian import Solution, minimise
 from rfem_jax.tolerancing.robust_design.cost_models import CostModel, total_cost
 
@@ -114,12 +115,13 @@ class Moments(eqx.Module):
         sigma = t * self.deviation
         g = self.quadratic.gradient * sigma[None]
         h = self.quadratic.hessian * jnp.outer(sigma, sigma)[None]
-        squared = jnp.einsum("lij,ljk->lik", h, h)
         mean = self.quadratic.offset + 0.5 * jnp.trace(h, axis1=1, axis2=2)
         if self.statistic == "mean":
             return mean
-        second = jnp.sum(g * g, axis=1) + 0.5 * jnp.trace(squared, axis1=1, axis2=2)
-        third = 3 * jnp.einsum("li,lij,lj->l", g, h, g) + jnp.einsum("lij,lji->l", squared, h)
+        # Traces of the square and the cube of h, which is symmetric.
+        squares, cubes = jnp.sum(h * h, axis=(1, 2)), jnp.sum(jnp.einsum("lij,ljk->lik", h, h) * h, axis=(1, 2))
+        second = jnp.sum(g * g, axis=1) + 0.5 * squares
+        third = 3 * jnp.einsum("li,lij,lj->l", g, h, g) + cubes
         varies = second > 0
         safe = jnp.where(varies, second, 1.0)
         c = self.coverage
@@ -180,10 +182,11 @@ def cheapest(
     Returns: the Solution in x, the unit of cost it was solved in (its multipliers are in that unit), and the values
         (c,) of the constraints there.
     """
-    start = total_cost(costs, jnp.exp(x))
+    cost = kernel(lambda y: total_cost(costs, jnp.exp(y)), name="cost of tolerances")
+    start = cost(x)
     unit = jnp.where(jnp.abs(start) > 0, jnp.abs(start), 1.0)
     solution = minimise(
-        lambda y: total_cost(costs, jnp.exp(y)) / unit,
+        lambda y: cost(y) / unit,
         lambda y: model(jnp.exp(y)[owner]) + INSIDE,
         x,
         lower,
