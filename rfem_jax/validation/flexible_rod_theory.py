@@ -22,6 +22,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from rfem_jax.kernels import kernel
+
 Vector = Float[Array | np.ndarray, " n"]
 NODES = 40  # of Gauss's quadrature
 
@@ -152,7 +154,7 @@ class Rod:
             return carry, carry[1][:size]
 
         start = jnp.zeros(()), jnp.concatenate([jnp.asarray(position), jnp.asarray(rates)])
-        _, found = jax.jit(lambda carry: jax.lax.scan(interval, carry, length=saved))(start)
+        _, found = kernel(lambda carry: jax.lax.scan(interval, carry, length=saved))(start)
         return np.concatenate([np.asarray(position)[None], found])
 
     def slider_place(self, t: Vector, phi: Vector, end: Vector) -> Vector:
