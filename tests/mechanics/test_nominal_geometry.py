@@ -13,7 +13,7 @@ from rfem_jax.mechanics.dynamics import loads
 from rfem_jax.mechanics.kinematics.cut_joints import closure
 from rfem_jax.mechanics.kinematics.motion import motion_of
 from rfem_jax.mechanics.model.model import length_scale
-from rfem_jax.mechanics.model.nominal_geometry import closure_jacobian, gaps, geometry_of, place
+from rfem_jax.mechanics.model.nominal_geometry import closure_jacobian, gaps, geometry_of, place, vector_product
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.report.contents.overview import count_lines
 from tests.mechanisms import link, twisted_spatial_loop, two_loop_six_bar
@@ -79,3 +79,10 @@ def test_an_overconstrained_loop_closes_as_well_as_its_angles_were_typed():
     links = tuple(replace(one, rfes=1) for one in typed.links)
     with pytest.raises(InputError, match="more decimals"):
         discretise(replace(typed, links=links, redundant_reactions="minimum_norm"))
+
+
+@pytest.mark.parametrize("left, right", [((3,), (3,)), ((3,), (5, 3)), ((4, 3), (2, 4, 3)), ((2, 1, 3), (4, 3))])
+def test_vector_products_of_batches(left, right):
+    generator = np.random.default_rng(3)
+    a, b = generator.normal(size=left), generator.normal(size=right)
+    np.testing.assert_array_equal(vector_product(a, b), np.cross(a, b))

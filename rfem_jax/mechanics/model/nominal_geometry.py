@@ -265,10 +265,11 @@ def node_place(geometry: NominalGeometry, placed: Placed, node: int) -> tuple[np
     return rotation, placed.origin[owner] + offset(geometry, rotation, node)
 
 
-def vector_product(a: Float[np.ndarray, "*t 3"], b: Float[np.ndarray, "*t 3"]) -> Float[np.ndarray, "*t 3"]:
-    """a x b of vectors in the last axis; of single ones, of which there are many, in a tenth of NumPy's own time."""
-    (x, y, z), (u, v, w) = a.T, b.T
-    return np.array([y * w - z * v, z * u - x * w, x * v - y * u]).T
+def vector_product(a: Float[np.ndarray, "*#t 3"], b: Float[np.ndarray, "*#t 3"]) -> Float[np.ndarray, "*batch 3"]:
+    """a x b of vectors in the last axis; of single ones, of which there are many, in a third of NumPy's own time."""
+    x, y, z = a[..., 0], a[..., 1], a[..., 2]
+    u, v, w = b[..., 0], b[..., 1], b[..., 2]
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)
 
 
 def cross_matrix(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3 3"]:
