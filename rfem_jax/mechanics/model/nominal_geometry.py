@@ -178,9 +178,9 @@ def _rotation_of(q: Float[np.ndarray, "*t 4"]) -> Float[np.ndarray, "*t 3 3"]:
 
 
 def moved(
-    topology: Topology, position: Float[np.ndarray, "*t numbers"], change: Float[np.ndarray, "*t freedoms"]
-) -> Float[np.ndarray, "*t numbers"]:
-    """`orientations.moved` of the joints."""
+    topology: Topology, position: Float[np.ndarray, "... numbers"], change: Float[np.ndarray, "... freedoms"]
+) -> Float[np.ndarray, "... numbers"]:
+    """`orientations.moved` of the joints; a change may have fewer axes in front than the position."""
     found = np.array(position, dtype=float)
     for l, (at, rates) in enumerate(zip(topology.positions, topology.coordinates, strict=True)):
         n = topology.plain(l)
@@ -265,7 +265,7 @@ def node_place(geometry: NominalGeometry, placed: Placed, node: int) -> tuple[np
     return rotation, placed.origin[owner] + offset(geometry, rotation, node)
 
 
-def vector_product(a: Float[np.ndarray, "*#t 3"], b: Float[np.ndarray, "*#t 3"]) -> Float[np.ndarray, "*batch 3"]:
+def vector_product(a: Float[np.ndarray, "... 3"], b: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
     """a x b of vectors in the last axis; of single ones, of which there are many, in a third of NumPy's own time."""
     x, y, z = a[..., 0], a[..., 1], a[..., 2]
     u, v, w = b[..., 0], b[..., 1], b[..., 2]
