@@ -164,6 +164,7 @@ def test_single_precision_is_refused():
         jax.config.update("jax_enable_x64", True)
 
 
+@pytest.mark.wrong_types
 def test_bad_arguments_are_refused(small):
     with pytest.raises(InputError, match="did you mean `D.delta_x`"):
         assembly_errors(small.model, {"D.delta_xx": 0.1})
