@@ -99,7 +99,7 @@ def climb(
         first, next_ = _begin(project, *found), _update(project, carry, *found)
         return jax.tree.map(lambda a, b: jnp.where(carry.evaluations == 0, a, b), first, next_)
 
-    last = jax.lax.while_loop(lambda c: _going(c, evaluations, tolerance), advance, unknown)
+    last = jax.lax.while_loop(lambda c: (c.evaluations == 0) | _going(c, evaluations, tolerance), advance, unknown)
     return _end(last, tolerance)
 
 
