@@ -21,6 +21,7 @@ from rfem_jax import (
     assemble,
     assembly_errors,
     discretise,
+    natural_frequencies,
     run_cases,
     simulate,
 )
@@ -189,6 +190,8 @@ def test_joints_are_held_at_values_with_a_unit(small):
     by_unit, by_number = (assemble(small.model, hold={"A": value}) for value in ("57 deg", math.radians(57.0)))
     assert by_unit.status == 0
     np.testing.assert_array_equal(by_unit.state.position.joints, by_number.state.position.joints)
+    with pytest.raises(InputError, match="`hold.A` must start with a number"):
+        natural_frequencies(small.model, hold={"A": "x"})
 
 
 def test_what_cannot_close_is_refused():

@@ -10,6 +10,7 @@ from rfem_jax import InputError, Joint, Mechanism, assemble, assembly_errors, de
 from rfem_jax.mechanics.forces.bush_contacts import carrying
 from rfem_jax.simulation.rest.turn import closed_poses, turn_over, turn_positions
 from rfem_jax.validation.clearances import TILT, flexible_four_bar
+from tests.coupled_mechanisms import cam
 from tests.derivatives import check_derivatives
 from tests.evaluation import evaluated
 from tests.mechanisms import BAR, STEEL, arm, four_bar, link
@@ -139,3 +140,12 @@ def test_contacts_of_a_turn_are_those_of_assemblies_and_loads_have_derivatives_b
     np.testing.assert_allclose(slope.moment, difference, rtol=1e-5, atol=1e-5 * np.abs(difference).max())
     difference = (high[1].penetration - low[1].penetration) / (2.0 * step)
     np.testing.assert_allclose(deeper, difference, rtol=1e-5)
+
+
+def test_a_turn_with_a_table_of_a_coupling_within_a_jit_of_the_users():
+    model, positions = discretise(cam()), np.array([0.0, 0.3])
+
+    def holding(longer):
+        return kinetostatic_turn(model, {"cam.length": longer}, positions).holding
+
+    np.testing.assert_allclose(evaluated(holding)(1e-4), holding(1e-4), rtol=1e-12, atol=1e-15)

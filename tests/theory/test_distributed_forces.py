@@ -28,7 +28,7 @@ from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.dynamics.section_loads import loads_of_sections
 from rfem_jax.mechanics.model.with_errors import apply_errors
 from rfem_jax.mechanics.statics.designs import designed
-from rfem_jax.simulation.rest.statics import at_rest
+from rfem_jax.simulation.rest.seen_at_rest import at_rest
 from rfem_jax.simulation.simulating import Simulation, simulate
 from tests.derivatives import check_derivatives
 from tests.mechanisms import arm, body, four_bar, link, released

@@ -148,6 +148,17 @@ def test_projected_gradient_meets_a_hard_valley_inside_a_ball():
     np.testing.assert_allclose(search.point, [1.0, 1.0], atol=1e-6)
 
 
+def test_a_search_evaluates_its_start_and_one_that_fails_has_no_value():
+    def climbed(start, evaluations=200):
+        return climb(lambda x: (-jnp.sum(x**4), -4.0 * x**3), lambda x: x, jnp.asarray(start), evaluations=evaluations)
+
+    for evaluations in (0, 1):
+        only = climbed([2.0], evaluations)
+        assert only.value == -16.0 and only.evaluations == 1 and not only.converged
+    failed = climbed([np.nan])
+    assert np.isnan(failed.value) and failed.evaluations == 1 and not failed.converged
+
+
 def test_new_numbers_do_not_compile_again_and_input_is_checked():
     traces = []
 

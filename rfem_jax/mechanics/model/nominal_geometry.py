@@ -266,7 +266,7 @@ def node_place(geometry: NominalGeometry, placed: Placed, node: int) -> tuple[np
 
 
 def vector_product(a: Float[np.ndarray, "... 3"], b: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
-    """a x b of vectors in the last axis; of single ones, of which there are many, in a third of NumPy's own time."""
+    """a x b of vectors in the last axis, without what NumPy's own does for other axes: single ones are many here."""
     x, y, z = a[..., 0], a[..., 1], a[..., 2]
     u, v, w = b[..., 0], b[..., 1], b[..., 2]
     return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)

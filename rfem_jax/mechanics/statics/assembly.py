@@ -122,7 +122,7 @@ def checked_hold(model: Model, hold: Mapping[str, ArrayLike | str] | str | None)
     if not isinstance(hold, Mapping):
         raise InputError(
             f"Argument `hold` must be a table of values by the names of joints, but is {hold!r}; write for example "
-            f'{{"{model.topology.joints[0]}": "30 deg"}}.'
+            '{"A": "30 deg"}, or "5 mm" of a joint that slides.'
         )
     _require_tree_joints(model, hold)
     return {name: jnp.asarray(_held_value(model, name, value), jnp.float64) for name, value in hold.items()}

@@ -36,7 +36,7 @@ from rfem_jax.mechanics.statics.designs import designed, status_of
 from rfem_jax.mechanics.statics.equilibrium_stability import Stability
 from rfem_jax.simulation.outcome.run import PointPath
 from rfem_jax.simulation.rest.poses import ClosedPose, posed, search_poses
-from rfem_jax.simulation.rest.statics import Still, at_rest, holding_load, largest_stresses, shaking_at_rest
+from rfem_jax.simulation.rest.seen_at_rest import Still, at_rest, holding_load, largest_stresses, shaking_at_rest
 from rfem_jax.simulation.system.equations import Numbers
 
 if TYPE_CHECKING:
@@ -156,7 +156,8 @@ def kinetostatic_turn(
             "before anything is compiled, but was made of traced ones; vary them as deviations among `errors`."
         )
     positions = turn_positions(model) if positions is None else np.atleast_1d(np.asarray(positions, float))
-    poses = closed_poses(model, positions)
+    with jax.ensure_compile_time_eval():  # tables of couplings are read by numbers, also within a jit of the user's
+        poses = closed_poses(model, positions)
     return turn_over(model, deviations_of(model, errors), poses, axes)
 
 

@@ -27,7 +27,6 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy.stats import beta
 
 from rfem_jax.compilation.program import Program
-from rfem_jax.kernels import kernel
 from rfem_jax.tolerancing.optimisation.augmented_lagrangian import Solution, minimise
 from rfem_jax.tolerancing.robust_design.cost_models import CostModel, total_cost
 
@@ -182,11 +181,10 @@ def cheapest(
     Returns: the Solution in x, the unit of cost it was solved in (its multipliers are in that unit), and the values
         (c,) of the constraints there.
     """
-    cost = kernel(lambda y: total_cost(costs, jnp.exp(y)), name="cost of tolerances")
-    start = cost(x)
+    start = total_cost(costs, jnp.exp(x))
     unit = jnp.where(jnp.abs(start) > 0, jnp.abs(start), 1.0)
     solution = minimise(
-        lambda y: cost(y) / unit,
+        lambda y: total_cost(costs, jnp.exp(y)) / unit,
         lambda y: model(jnp.exp(y)[owner]) + INSIDE,
         x,
         lower,
