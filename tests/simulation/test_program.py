@@ -186,6 +186,21 @@ def test_bad_arguments_are_refused(small):
         simulate(Simulation(small.model, **{**small.settings, "duration": 0.0}), None)
 
 
+def test_errors_are_where_their_names_say_traced_or_not(small):
+    topology = small.model.topology
+    names = topology.error_names
+    numbers = jnp.arange(1.0, len(names) + 1)
+
+    def errors(numbers):
+        return assembly_errors(small.model, dict(zip(names[::-1], numbers[::-1])))
+
+    known = errors(np.asarray(numbers))
+    tilt = known.seat[topology.error_components.index("delta_x"), topology.joints.index("D")]
+    assert tilt == numbers[names.index("D.delta_x")]
+    for traced, untraced in zip(jax.tree.leaves(jax.jit(errors)(numbers)), jax.tree.leaves(known), strict=True):
+        np.testing.assert_array_equal(traced, untraced)
+
+
 def test_joints_are_held_at_values_with_a_unit(small):
     by_unit, by_number = (assemble(small.model, hold={"A": value}) for value in ("57 deg", math.radians(57.0)))
     assert by_unit.status == 0

@@ -6,7 +6,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rfem_jax import InputError, Joint, Mechanism, assemble, assembly_errors, deviations, discretise, kinetostatic_turn
+from rfem_jax import (
+    STATUS,
+    InputError,
+    Joint,
+    Mechanism,
+    assemble,
+    assembly_errors,
+    deviations,
+    discretise,
+    kinetostatic_turn,
+)
 from rfem_jax.mechanics.forces.bush_contacts import carrying
 from rfem_jax.simulation.rest.turn import closed_poses, turn_over, turn_positions
 from rfem_jax.validation.clearances import TILT, flexible_four_bar
@@ -149,3 +159,30 @@ def test_a_turn_with_a_table_of_a_coupling_within_a_jit_of_the_users():
         return kinetostatic_turn(model, {"cam.length": longer}, positions).holding
 
     np.testing.assert_allclose(evaluated(holding)(1e-4), holding(1e-4), rtol=1e-12, atol=1e-15)
+
+
+def test_what_cannot_be_assembled_says_so_and_leaves_the_rest_of_a_batch_alone():
+    model, positions = discretise(four_bar(2)), np.array([-1.5, -1.4])
+
+    def turned(tilt):
+        turn = kinetostatic_turn(model, {"D.delta_x": tilt}, positions)
+        return turn.status, turn.holding
+
+    status, holding = evaluated(jax.vmap(turned))(jnp.array([0.0, jnp.nan, 1e-3]))
+    assert (status == 0).tolist() == [[True, True], [False, False], [True, True]]
+    assert np.isfinite(holding[[0, 2]]).all()
+    np.testing.assert_array_equal(holding[2], evaluated(turned)(1e-3)[1])
+
+
+def test_a_rod_on_its_head_on_a_driven_arm_is_left_as_a_pendulum_is():
+    length = 0.3
+    joints = [Joint("A", "base", "arm", angle=0.0), Joint("B", "arm", "rod", angle=-np.pi / 2)]
+    turns = []
+    for gravity in (-9.81, 9.81):  # z is up, where the rod points to
+        links = [link("arm", length), link("rod", length)]
+        model = discretise(Mechanism(links, joints, driven_joint="A", gravity=(0.0, 0.0, gravity)))
+        turns.append(evaluated(lambda model=model: kinetostatic_turn(model, positions=np.zeros(1)))())
+    on_its_head, hanging = turns
+    assert STATUS[int(on_its_head.status[0])].name == "unstable" and hanging.status[0] == 0
+    np.testing.assert_allclose(on_its_head.stability.growth[0], np.sqrt(1.5 * 9.81 / length), rtol=1e-3)
+    assert hanging.stability.growth[0] == 0.0 and jax.tree.map(lambda x: x[0], on_its_head.stability).place == "joint B"
