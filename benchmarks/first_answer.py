@@ -14,6 +14,8 @@ installation is excluded.  Prints a table of medians and writes it with all sing
     example      the Python example of loads and a derivative; both versions keep JAX's own cache
     gradient     mean-square moments by 3 errors, batch of 16, `auto` at 0.1 %; likewise
     sensitivity, monte_carlo   the shipped studies
+    new_run         the slider-crank of `rfem-jax init`, rigid and without errors
+    new_sensitivity   that slider-crank as it is written, its tolerance studies switched on
 
 Exudyn, which compiles nothing, does two of them (`exudyn_first_answer.py`): `run`, five cases with their static
 starts, and `monte_carlo`, 4096 samples on all cores, with its fastest step and settings within 0.1 %.
@@ -61,7 +63,9 @@ def values(point):
 print(jax.vmap(jax.jacfwd(values))(points))
 """
 KEEPS_JAX_CACHE = ("example", "gradient")
-NAMES = ("run", "check", "one_case", "example", "gradient", "sensitivity", "monte_carlo")
+NAMES = (
+    "run", "check", "one_case", "example", "gradient", "sensitivity", "monte_carlo", "new_run", "new_sensitivity"
+)  # fmt: skip
 
 
 def example(folder: Path) -> str:
@@ -75,6 +79,18 @@ def example(folder: Path) -> str:
     return next(block.partition(derivative)[0] + derivative for block in blocks if derivative in block)
 
 
+def new_study(name: str, work: Path) -> Path:
+    """What a new user has before the first command: the slider-crank of `rfem-jax init`, of this version for both."""
+    started = HERE / "rfem_jax" / "report" / "starting_studies" / "slider_crank.toml"
+    before, mark, tasks = started.read_text(encoding="utf-8").partition("# [tolerances]")
+    text = before.replace("rfes = 5", "rigid = true").partition('[[cases]]\nname = "guide_tilted"')[0]
+    if name == "new_sensitivity":
+        text = before + re.sub(r"^# ?", "", f"{mark}{tasks}", flags=re.MULTILINE)
+    file = work / f"{name}.toml"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
 def command_of(name: str, folder: Path, work: Path) -> list[str]:
     """Arguments of Python for one program of the checkout in `folder`; files go into `work`."""
     study = "studies/four_bar/study.toml"
@@ -83,6 +99,8 @@ def command_of(name: str, folder: Path, work: Path) -> list[str]:
         return ["-c", example(folder)]
     if name == "gradient":
         return ["-c", GRADIENT]
+    if name.startswith("new_"):
+        return ["-m", COMMAND, name.removeprefix("new_"), str(new_study(name, work)), *out]
     if name == "one_case":
         before, *cases = (folder / study).read_text(encoding="utf-8").split("[[cases]]")
         one = work / "one_case.toml"
@@ -98,10 +116,9 @@ def command_of(name: str, folder: Path, work: Path) -> list[str]:
 
 
 def environment_of(name: str, folder: Path, home: Path) -> dict[str, str]:
-    """The environment with a home of its own and without choices about caches or compilation."""
-    ours = {
-        key: value for key, value in os.environ.items() if not key.startswith(("JAX_", "XLA_", "RFEM_", "XDG_", "MPL"))
-    }
+    """The environment with a home of its own, without choices about caches or compilation; Python keeps byte code."""
+    choices = ("JAX_", "XLA_", "RFEM_", "XDG_", "MPL", "PYTHONDONTWRITEBYTECODE")
+    ours = {key: value for key, value in os.environ.items() if not key.startswith(choices)}
     ours |= {"HOME": str(home), "XDG_CACHE_HOME": str(home / ".cache"), "PYTHONPATH": str(folder)}
     if name in KEEPS_JAX_CACHE:
         ours["JAX_COMPILATION_CACHE_DIR"] = str(home / "jax")

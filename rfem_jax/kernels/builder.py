@@ -298,11 +298,20 @@ class Builder:
 
     def address(self, slot: int, rows: Rows = ()) -> str:
         """Address of a slot, or of the one that many rows after it."""
-        place = self.scalar(f"getelementptr i8, ptr %workspace, i64 #({slot})")
-        for counter, size in rows:
+        return self.scalar(f"getelementptr i8, ptr {self._beginning_of(rows)}, i64 #({slot})")
+
+    def _beginning_of(self, rows: Rows) -> str:
+        """Address of what would be the first slot, many rows on: an address that is a number away from another one is
+        part of the instruction that uses it."""
+        if not rows:
+            return "%workspace"
+        found = self._known.get(rows)
+        if found is None:
+            *before, (counter, size) = rows
             offset = self.scalar(f"mul i64 {counter}, #({size})")
-            place = self.scalar(f"getelementptr i8, ptr {place}, i64 {offset}")
-        return place
+            place = self.scalar(f"getelementptr i8, ptr {self._beginning_of((*before,))}, i64 {offset}")
+            found = self._noted(rows, Value(place, "p"))
+        return found.name
 
     def load(self, kind: str, slot: int, rows: Rows = ()) -> Value:
         """The value in a slot: whole numbers and conditions are kept as 64 bits."""

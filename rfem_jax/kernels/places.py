@@ -6,6 +6,7 @@ Place in the pipeline: arithmetic, memory -> **places** -> emission, whose emitt
 import functools
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,35 @@ from rfem_jax.kernels.arithmetic import Arithmetic, common_kind
 from rfem_jax.kernels.builder import DTYPES, Builder, Entry, Unsupported, Value, is_known, kind_of
 from rfem_jax.kernels.entries import Entries, each, numbers, of_shape
 from rfem_jax.kernels.memory import copy, in_one_piece
+
+Shape = tuple[int, ...]
+MOST_WINDOWS = 4000  # gathers that are remembered: the same come again in every derivative
+
+
+@functools.lru_cache(maxsize=MOST_WINDOWS)
+def _windows(indices: bytes, shape: Shape, dimensions: Any, sizes: Shape, of: Shape) -> np.ndarray:
+    """Where the windows of a gather are in the entries of an array whose shape is `of`, in the order of its result.
+
+    **Arguments:** `indices` of the windows, int64, in an array of this `shape`; `dimensions`, and `sizes` of windows,
+    as the primitive has them.
+
+    **Raises:** `Unsupported` for a window that is not within the array.
+    """
+    known = np.frombuffer(indices, np.int64).reshape(shape)
+    places = known.shape[:-1]
+    starts = np.zeros((*places, len(of)), int)
+    starts[..., list(dimensions.start_index_map)] = known
+    for axis, batch in zip(dimensions.operand_batching_dims, dimensions.start_indices_batching_dims):
+        starts[..., axis] = np.arange(places[batch]).reshape([-1 if i == batch else 1 for i in range(len(places))])
+    if (starts < 0).any() or (starts + sizes > of).any():
+        raise Unsupported("gather of what is outside of an array")
+    steps = np.array([math.prod(of[i + 1 :]) for i in range(len(of))], int)
+    within = np.tensordot(np.indices(sizes), steps, (0, 0)) if sizes else np.zeros((), int)
+    taken = (starts @ steps).reshape(*places, *[1] * len(sizes)) + within
+    gone = (*dimensions.collapsed_slice_dims, *dimensions.operand_batching_dims)
+    left = (size for axis, size in enumerate(sizes) if axis not in gone)
+    taken = taken.reshape(*places, *left)
+    return np.moveaxis(taken, range(len(places), taken.ndim), dimensions.offset_dims)
 
 
 class Places:
@@ -26,20 +56,7 @@ class Places:
         if known is None:
             return [self._gathered_rows(equation, operand, indices)]
         numbers_, sizes = equation.params["dimension_numbers"], equation.params["slice_sizes"]
-        places = known.shape[:-1]
-        starts = np.zeros((*places, operand.ndim), int)
-        starts[..., list(numbers_.start_index_map)] = known
-        for axis, batch in zip(numbers_.operand_batching_dims, numbers_.start_indices_batching_dims):
-            starts[..., axis] = np.arange(places[batch]).reshape([-1 if i == batch else 1 for i in range(len(places))])
-        if (starts < 0).any() or (starts + sizes > operand.shape).any():
-            raise Unsupported("gather of what is outside of an array")
-        steps = np.array([math.prod(operand.shape[i + 1 :]) for i in range(operand.ndim)], int)
-        within = np.tensordot(np.indices(sizes), steps, (0, 0)) if sizes else np.zeros((), int)
-        taken = operand.ravel()[(starts @ steps).reshape(*places, *[1] * len(sizes)) + within]
-        gone = (*numbers_.collapsed_slice_dims, *numbers_.operand_batching_dims)
-        left = (size for axis, size in enumerate(sizes) if axis not in gone)
-        taken = taken.reshape(*places, *left)
-        return [np.moveaxis(taken, range(len(places), taken.ndim), numbers_.offset_dims)]
+        return [operand.ravel()[_windows(known.tobytes(), known.shape, numbers_, sizes, operand.shape)]]
 
     def _gathered_rows(self, equation, operand, indices):
         """Windows at places that are values, of an index by lane."""

@@ -88,9 +88,10 @@ def test_diffrax_loop(run_program, method):
 
 
 def test_first_answer(run_program, tmp_path):
-    said = run_program("benchmarks/first_answer.py", "--only", "check", "--repeat", 1, "--no-exudyn", "--out", tmp_path)
+    options = ("--only", "new_run", "--repeat", 1, "--no-exudyn", "--out", tmp_path)
+    said = run_program("benchmarks/first_answer.py", *options)
     content = json.loads((tmp_path / "first_answer.json").read_text())
-    assert [(row["program"], row["state"]) for row in content["times"]] == [("check", "cold"), ("check", "warm")]
+    assert [(row["program"], row["state"]) for row in content["times"]] == [("new_run", "cold"), ("new_run", "warm")]
     assert all(row["cpu"] > 0.0 and row["memory_mb"] > 10.0 for row in content["times"])
     assert content["table"] in said
 

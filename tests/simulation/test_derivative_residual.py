@@ -1,6 +1,8 @@
 """The accuracy of a derivative is known: the derivative of the residual says how far it is from solving the
 differentiated equations."""
 
+import dataclasses
+
 import jax
 import numpy as np
 import pytest
@@ -27,6 +29,13 @@ def change_of_run(model, tolerance):
 
 def forces(change):
     return np.stack([np.asarray(load.force) for load in change.loads.values()])
+
+
+def test_checks_judge_numbers_and_have_no_derivatives_but_the_residual(small):
+    checks = change_of_run(small.model, 1e-3).checks
+    assert np.abs(checks.equation_residual).max() > 0.0
+    others = dataclasses.replace(checks, equation_residual=np.zeros(1))
+    assert all(not np.any(np.asarray(x)) for x in jax.tree.leaves(others))
 
 
 @pytest.mark.long

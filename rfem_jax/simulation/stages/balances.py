@@ -6,10 +6,15 @@ Errors of the energy balance and of the balance of joint loads against the rate 
 exchanged and carried (theory, part 11); a run that is off by more than `remarks.BALANCE_LIMIT` is not accepted.
 """
 
+import dataclasses
+from functools import partial
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from rfem_jax.kernels import kernel
 from rfem_jax.mechanics.elements.linear_validity import linear_error
 from rfem_jax.mechanics.forces.nonsmooth_forces import may_be_only_loads
 from rfem_jax.mechanics.implicit.residual import rounding_force
@@ -47,7 +52,28 @@ def checks_of(
     shortest: Float[Array, ""],
 ) -> tuple[Checks, Int[Array, ""]]:
     """The checks that say whether a run is to be trusted, and its status; `assembled`: that of the assembly;
-    `duration` [s]; `shortest` [s]: step."""
+    `duration` [s]; `shortest` [s]: step.
+
+    Only the residual of the equations has derivatives: what judges the numbers is one kernel, in derivatives as well.
+    """
+    given = (model, actual, assembled, carry, record, energy, duration, shortest)
+    arrays, others = eqx.partition(given, eqx.is_array)
+    checks, status = _judged(*eqx.combine(jax.lax.stop_gradient(arrays), others))
+    return dataclasses.replace(checks, equation_residual=record.residual), status
+
+
+@partial(kernel, name="checks", in_parts=True)
+def _judged(
+    model: Model,
+    actual: ModelWithErrors,
+    assembled: Int[Array, ""],
+    carry: Carry,
+    record: Record,
+    energy: Energy,
+    duration: Float[Array, ""],
+    shortest: Float[Array, ""],
+) -> tuple[Checks, Int[Array, ""]]:
+    """As `checks_of`."""
     drift = jnp.max(record.drift)
     largest = force_scale(model, actual, carry, energy, duration, shortest)
     error, (momentum, moment) = balance_error(model, energy, largest), momentum_error(model, record, largest)
