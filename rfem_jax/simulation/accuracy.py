@@ -114,7 +114,7 @@ def _longest_step(model, method: Method, drive, duration, accuracy, errors) -> f
     method, grid = _trial_grid(model, method, drive, duration)
     interval = duration / TRIAL_INTERVALS
     first = _first_steps(model, drive, grid, interval)
-    whole = Integration(model, drive, grid, method, jnp.asarray(1.0))
+    whole = Integration(model, drive, grid, method, jnp.asarray(1.0, jnp.float64))
     prepared, carry = integration.prepare_batch(whole, errors)
 
     def loads(steps):
@@ -185,7 +185,7 @@ def _explicit_step(model, method: Method, drive, duration, accuracy, errors) -> 
     length, steps = float(np.max(np.asarray(model.length))), int(np.ceil(interval / method.step * (1.0 - ROUNDING)))
     grid, _ = integration.grid_for(drive, duration, method, interval, model)
     share = 1.0 if grid.parts is None else float(grid.distinct.max()) / interval
-    whole = Integration(model, drive, grid.of_any_step(), method, jnp.asarray(1.0))
+    whole = Integration(model, drive, grid.of_any_step(), method, jnp.asarray(1.0, jnp.float64))
     prepared, carry = integration.prepare_batch(whole, errors)
 
     def loads(steps):
@@ -218,8 +218,15 @@ def _assemblies(model: Model, errors: Errors | None) -> AssemblyErrors:
         return errors.errors
     if isinstance(errors, AssemblyErrors):
         return errors
-    known = {name: jnp.asarray(value) for name, value in (errors or {}).items() if name in model.topology.error_names}
-    return jax.vmap(lambda one: assembly_errors(model, one))(known) if known else trial_errors(model)
+    given = (errors or {}).items()
+    known = {name: jnp.asarray(value, jnp.float64) for name, value in given if name in model.topology.error_names}
+    return _errors_of(model, known) if known else trial_errors(model)
+
+
+@functools.partial(Program, nameless=True)
+def _errors_of(model: Model, known: dict[str, Float[Array, " cases"]]) -> AssemblyErrors:
+    """A batch of errors by their names."""
+    return jax.vmap(lambda one: assembly_errors(model, one))(known)
 
 
 def estimate_change(
@@ -249,8 +256,8 @@ def trial_errors(model: Model) -> AssemblyErrors:
     has = np.array(
         [[name in topology.kind(j).errors(child=False) for j in range(perfect.seat.shape[1])] for name in names]
     )
-    flawed = eqx.tree_at(lambda e: e.seat, perfect, jnp.asarray(np.where(has, size[:, None] * signs, 0.0)))
-    return jax.tree.map(lambda a, b: jnp.asarray(np.stack([a, b])), perfect, flawed)
+    flawed = eqx.tree_at(lambda e: e.seat, perfect, jnp.asarray(np.where(has, size[:, None] * signs, 0.0), jnp.float64))
+    return jax.tree.map(lambda a, b: jnp.asarray(np.stack([a, b]), a.dtype), perfect, flawed)
 
 
 @functools.partial(Program, nameless=True)

@@ -113,14 +113,15 @@ def force_nodes(mechanism: Mechanism, links: DividedLinks) -> ForceNodes:
 def frame_forces(parts: Parts, topology: Topology, links: Sequence[Link], points: ForceNodes) -> dict[str, FrameForce]:
     """The forces at points and between them, by their names."""
     elements: dict[str, FrameForce] = {}
-    nodes, unit = dict(points), jnp.asarray(np.eye(3))  # of NumPy: JAX would compile both
-    base = NodeFrame(BASE, unit, jnp.asarray(np.zeros(3)))
+    # Of NumPy, with their type: JAX would compile the others.
+    nodes, unit = dict(points), jnp.asarray(np.eye(3), jnp.float64)
+    base = NodeFrame(BASE, unit, jnp.asarray(np.zeros(3), jnp.float64))
     for force in parts.forces:
         if not isinstance(force, AtPoint | BetweenPoints):
             continue
         frames = []
         for node, (_, place) in zip(nodes[force.name], force.ends(), strict=True):
-            position = jnp.asarray(array_of(node_place(topology, links, node, place, False)))
+            position = jnp.asarray(array_of(node_place(topology, links, node, place, False)), jnp.float64)
             frames.append(NodeFrame(node, unit, position))
         if isinstance(force, BetweenPoints):
             elements[force.name] = spring_between(force, *frames)

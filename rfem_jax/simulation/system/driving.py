@@ -8,6 +8,8 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from rfem_jax.description.basics.errors import InputError, suggestion
@@ -75,7 +77,7 @@ def active_drives(model: Model, drive: Drive) -> ActiveDrives:
     topology, drives = model.topology, each_drive(drive)
     coordinates = tuple(_coordinate(topology, one) for one in drives)
     starts = [
-        model.start_joints[topology.place_of(k)] if isinstance(one, PrescribedDrive) else None
+        _start_of(model, topology.place_of(k)) if isinstance(one, PrescribedDrive) else None
         for k, one in zip(coordinates, drives, strict=True)
     ]
     every = all_jumps(drive, model)
@@ -83,6 +85,12 @@ def active_drives(model: Model, drive: Drive) -> ActiveDrives:
     own = tuple(own_breakpoints(one, every) for one in drives) if mixed else (None,) * len(drives)
     jumps = every if changing(model.vectors_of_time) else None
     return ActiveDrives(drives, tuple(starts), coordinates, own, jumps)
+
+
+def _start_of(model: Model, place: int) -> Float[Array, ""]:
+    """A joint coordinate of the start; of NumPy where it is known, since JAX would compile the look at it."""
+    joints = model.start_joints
+    return joints[place] if isinstance(joints, Tracer) else jnp.asarray(np.asarray(joints)[place], jnp.float64)
 
 
 def all_jumps(drive: Drive, model: Model | None) -> tuple[float, ...]:

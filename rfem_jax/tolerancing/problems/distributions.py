@@ -18,6 +18,7 @@ N. L. Johnson, S. Kotz, N. Balakrishnan, Continuous Univariate Distributions, vo
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -216,14 +217,18 @@ def _half_width_and_centre(tolerance, interval) -> tuple[Float[Array, ""], Float
         raise InputError(
             f"Argument `interval` must have two ends of one unit, but it is {interval!r}; correct one of them."
         )
-    low, high = jnp.asarray(low, jnp.float64), jnp.asarray(high, jnp.float64)
-    if not isinstance(low, jax.core.Tracer) and not isinstance(high, jax.core.Tracer):
+    traced = isinstance(low, jax.core.Tracer) or isinstance(high, jax.core.Tracer)
+    numbers: Any = jnp if traced else np  # of a study file, for which JAX would compile every operation
+    low, high = numbers.asarray(low, jnp.float64), numbers.asarray(high, jnp.float64)
+    if not traced:
         if not (np.isfinite(low) and np.isfinite(high) and low <= high):
             raise InputError(
                 f"Argument `interval` must be finite and rise from low to high, but it is "
                 f"({low}, {high}); swap or correct its ends."
             )
-    return 0.5 * (high - low), 0.5 * (low + high), unit or other
+    both = (numbers.asarray(x) for x in (0.5 * (high - low), 0.5 * (low + high)))
+    width, centre = (jnp.asarray(x, jnp.float64) for x in both)
+    return width, centre, unit or other
 
 
 def _parsed(value, what: str):

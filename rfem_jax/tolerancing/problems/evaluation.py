@@ -134,7 +134,7 @@ def run_in_chunks(
             filled = [np.concatenate([c, np.repeat(c[:1], width - used, axis=0)]) for c in chunk]
 
             def compute(filled=filled):
-                return program(*map(jnp.asarray, filled))
+                return program(*(jnp.asarray(x, x.dtype) for x in filled))
 
             results = compute() if of is None else remembered(of[0], (of[1], *filled), compute)
             parts.append([np.asarray(result)[:used] for result in results])

@@ -236,7 +236,7 @@ def expand_point(
         settings = order, mode, batch
 
         def compute():
-            found = _differentiate_along(shared, names, base, x, jnp.asarray(directions), *settings)
+            found = _differentiate_along(shared, names, base, x, _numbers(directions), *settings)
             return jax.device_get(found)
 
         parts.append(remembered(problem, ("directions", names, base, x, directions, *settings), compute))
@@ -245,26 +245,31 @@ def expand_point(
     hessian = asymmetry = residual_changes = force_changes = force_sums = None
     if order == 2:
         along = np.concatenate([second for _, _, second, _ in parts])[:k]
-        hessian, asymmetry = map(jnp.asarray, _symmetric(np.moveaxis(along, 0, 2)[:m]))
+        hessian, asymmetry = map(_numbers, _symmetric(np.moveaxis(along, 0, 2)[:m]))
     elif mode == "forward":
         jacobian = np.concatenate([first for _, first, _, _ in parts])[:k].T
     if count:
-        residual_changes, force_changes = jnp.asarray(jacobian[m : m + count]), jnp.asarray(jacobian[m + count :])
-        force_sums = jnp.asarray(value[m + count :])
+        residual_changes, force_changes = _numbers(jacobian[m : m + count]), _numbers(jacobian[m + count :])
+        force_sums = _numbers(value[m + count :])
     return QuadraticModel(
         names=names,
         metrics=tuple(metric.name for metric in problem.metrics),
         mode=mode,
         point=x,
-        value=jnp.asarray(value[:m]),
-        gradient=jnp.asarray(jacobian[:m]),
+        value=_numbers(value[:m]),
+        gradient=_numbers(jacobian[:m]),
         hessian=hessian,
         asymmetry=asymmetry,
-        status=jnp.asarray(status),
+        status=jnp.asarray(status, np.asarray(status).dtype),
         residual_changes=residual_changes,
         force_changes=force_changes,
         force_sums=force_sums,
     )
+
+
+def _numbers(array: np.ndarray) -> Float[Array, "..."]:
+    """The array as one of JAX's, for which nothing is compiled where its type is said."""
+    return jnp.asarray(array, jnp.float64)
 
 
 def _symmetric(hessian):
