@@ -103,7 +103,6 @@ class Body:
         self.origin: tuple[Body, tuple[int, ...]] | None = None
         self.single: tuple[Body, tuple[bool, ...]] | None = None
         self.long, self.in_parts, self.order = False, False, 0
-        self._emitted: programs.Program | None = None
         self._size: Size | Unsupported | None = None
         self._handlers: dict[tuple[int, bool], str] = {}
         self._derived: dict[Any, Body] = {}
@@ -149,14 +148,14 @@ class Body:
         if size_of(self.program) > largest:
             return TooLarge(f"arrays of {largest} entries in all")
         try:
-            self._emitted = programs.emit(self.program, self.in_parts)
+            emitted = programs.emitted(self.program, self.in_parts, self.digest)
         except TooLarge as reason:
             return reason
         except Unsupported as reason:
             if not self.in_parts:
                 warnings.warn(f"{self.name!r} is compiled by XLA: there is no machine code for {reason}.", stacklevel=2)
             return reason
-        size = Size(self._emitted.operations, self._emitted.work)
+        size = Size(emitted.operations, emitted.work)
         if self.digest:
             registry.note(f"size_{self.digest}", f"{size.operations} {size.work}".encode())
         return size
@@ -170,9 +169,8 @@ class Body:
             thorough = thorough_pays(size, blocks)
 
         def module() -> tuple[str, str]:
-            if self._emitted is None:
-                self._emitted = programs.emit(self.program, self.in_parts)
-            return self._emitted.module(lanes, thorough, self.digest)
+            emitted = programs.emitted(self.program, self.in_parts, self.digest)
+            return emitted.module(lanes, thorough, self.digest)
 
         with self._lock:
             if (lanes, thorough) not in self._handlers:
@@ -180,8 +178,6 @@ class Body:
                 self._handlers[lanes, thorough] = name
             name = self._handlers[lanes, thorough]
             registry.announce(name, lambda: module()[1], thorough)
-            if self.digest:  # some megabytes of text, which another number of lanes would write again
-                self._emitted = None
         return name
 
     def derived(self, key: Any, make: Callable[[], "Derived"]) -> "Body":

@@ -5,6 +5,8 @@ Place in the pipeline: emission, foreign_function -> **programs** -> primitive.
 
 import hashlib
 import math
+import threading
+from collections.abc import Hashable
 from typing import NamedTuple
 
 from jax.extend.core import ClosedJaxpr
@@ -14,6 +16,8 @@ from rfem_jax.kernels.builder import Builder, filled, kind_of
 from rfem_jax.kernels.emission import Emitter
 from rfem_jax.kernels.foreign_function import Buffer
 from rfem_jax.kernels.memory import in_one_piece, stored
+
+MOST_TEXT = 30_000_000  # characters of programs that are remembered
 
 
 class Program(NamedTuple):
@@ -47,6 +51,23 @@ class Program(NamedTuple):
 def handler_name(digest: str, lanes: int, thorough: bool) -> str:
     """Name under which XLA finds the machine code of a program for a number of lanes."""
     return f"kernel_{digest}_{lanes}_{'thorough' if thorough else 'fast'}"
+
+
+_recent: dict[Hashable, Program] = {}
+_lock = threading.Lock()
+
+
+def emitted(program: ClosedJaxpr, short: bool, digest: str | None) -> Program:
+    """As `emit`, whose last programs are remembered by their digests: another number of lanes has the same one."""
+    key = digest or (program.jaxpr, short)
+    with _lock:
+        found = _recent.pop(key, None)
+    found = emit(program, short) if found is None else found
+    with _lock:
+        _recent[key] = found
+        while len(_recent) > 1 and sum(len(one.body) for one in _recent.values()) > MOST_TEXT:
+            del _recent[next(iter(_recent))]
+    return found
 
 
 def emit(program: ClosedJaxpr, short: bool = False) -> Program:

@@ -94,3 +94,18 @@ def test_what_has_the_same_content_is_emitted_once(monkeypatch):
     found = [jax.jit(kernel(lambda x: jnp.sin(x) * 0.71234, name=name))(X) for name in ("first", "second")]
     np.testing.assert_array_equal(*found)
     assert len(emitted) == 1
+
+
+@pytest.mark.parametrize("most, times", [(programs.MOST_TEXT, 1), (0, 2)])
+def test_other_numbers_of_lanes_have_the_program_that_is_remembered(monkeypatch, most, times):
+    """Unless there are too many others since: the text of the last one alone stays."""
+    emitted, emit = [], programs.emit
+    monkeypatch.setattr(programs, "emit", lambda program, short: (emitted.append(program), emit(program, short))[1])
+    monkeypatch.setattr(programs, "MOST_TEXT", most)
+    own = kernel(lambda x: jnp.cos(x) * (0.41 + most), name="own")
+    np.testing.assert_allclose(jax.jit(own)(X), np.cos(X) * (0.41 + most), rtol=1e-15)
+    jax.jit(kernel(lambda x: jnp.cos(x) * (0.43 + most), name="another"))(X)
+    emitted.clear()
+    both = jax.jit(jax.vmap(own))(jnp.stack([X, 2.0 * X]))
+    np.testing.assert_allclose(both[1], np.cos(2.0 * X) * (0.41 + most), rtol=1e-15)
+    assert len(emitted) == times - 1
