@@ -57,8 +57,8 @@ def checks_of(
     Only the residual of the equations has derivatives: what judges the numbers is one kernel, in derivatives as well.
     """
     given = (model, actual, assembled, carry, record, energy, duration, shortest)
-    arrays, others = eqx.partition(given, eqx.is_array)
-    checks, status = _judged(*eqx.combine(jax.lax.stop_gradient(arrays), others))
+    fixed = jax.tree.map(lambda x: jax.lax.stop_gradient(x) if eqx.is_array(x) else x, given)
+    checks, status = _judged(*fixed)
     return dataclasses.replace(checks, equation_residual=record.residual), status
 
 
