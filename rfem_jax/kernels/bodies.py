@@ -76,8 +76,7 @@ def thorough_pays(size: Size, blocks: int) -> bool:
 class Body:
     """The jaxpr of a kernel for one sample, and what was made of it; compared by identity.
 
-    A derivative's jaxpr is made when it is asked for: it never is where all is computed in several directions, or where
-    nothing needs its values.
+    A derivative's jaxpr is made when it is asked for: it never is where nothing needs its values.
 
     Attributes: operands, results: their shapes and types; plain: a function of the same operands and results for XLA,
     None: the jaxpr; reverse: one that reverse mode takes, None: the jaxpr; linear_from: number of the first operand in
@@ -103,6 +102,7 @@ class Body:
         self.origin: tuple[Body, tuple[int, ...]] | None = None
         self.single: tuple[Body, tuple[bool, ...]] | None = None
         self.long, self.in_parts, self.order = False, False, 0
+        self._emitted: programs.Program | None = None
         self._size: Size | Unsupported | None = None
         self._handlers: dict[tuple[int, bool], str] = {}
         self._derived: dict[Any, Body] = {}
@@ -148,7 +148,7 @@ class Body:
         if size_of(self.program) > largest:
             return TooLarge(f"arrays of {largest} entries in all")
         try:
-            emitted = programs.emitted(self.program, self.in_parts, self.digest)
+            emitted = self._emission()
         except TooLarge as reason:
             return reason
         except Unsupported as reason:
@@ -169,8 +169,7 @@ class Body:
             thorough = thorough_pays(size, blocks)
 
         def module() -> tuple[str, str]:
-            emitted = programs.emitted(self.program, self.in_parts, self.digest)
-            return emitted.module(lanes, thorough, self.digest)
+            return self._emission().module(lanes, thorough, self.digest)
 
         with self._lock:
             if (lanes, thorough) not in self._handlers:
@@ -179,6 +178,14 @@ class Body:
             name = self._handlers[lanes, thorough]
             registry.announce(name, lambda: module()[1], thorough)
         return name
+
+    def _emission(self) -> programs.Program:
+        """The program, which is remembered by its content, or here where that is not known."""
+        if self.digest:
+            return programs.emitted(self.program, self.in_parts, self.digest)
+        if self._emitted is None:
+            self._emitted = programs.emit(self.program, self.in_parts)
+        return self._emitted
 
     def derived(self, key: Any, make: Callable[[], "Derived"]) -> "Body":
         """The kernel of another function, made once."""

@@ -16,7 +16,8 @@ from rfem_jax.kernels.entries import Entries, each, numbers, of_shape
 from rfem_jax.kernels.memory import copy, in_one_piece
 
 Shape = tuple[int, ...]
-MOST_WINDOWS = 4000  # gathers that are remembered: the same come again in every derivative
+# Gathers that are remembered, of so many entries: the same come again in every derivative.
+MOST_WINDOWS, MOST_ENTRIES = 4000, 4000
 
 
 @functools.lru_cache(maxsize=MOST_WINDOWS)
@@ -38,10 +39,10 @@ def _windows(indices: bytes, shape: Shape, dimensions: Any, sizes: Shape, of: Sh
         raise Unsupported("gather of what is outside of an array")
     steps = np.array([math.prod(of[i + 1 :]) for i in range(len(of))], int)
     within = np.tensordot(np.indices(sizes), steps, (0, 0)) if sizes else np.zeros((), int)
-    taken = (starts @ steps).reshape(*places, *[1] * len(sizes)) + within
+    taken = np.asarray((starts @ steps).reshape((*places, *[1] * len(sizes))) + within)
     gone = (*dimensions.collapsed_slice_dims, *dimensions.operand_batching_dims)
     left = (size for axis, size in enumerate(sizes) if axis not in gone)
-    taken = taken.reshape(*places, *left)
+    taken = taken.reshape((*places, *left))
     return np.moveaxis(taken, range(len(places), taken.ndim), dimensions.offset_dims)
 
 
@@ -56,7 +57,9 @@ class Places:
         if known is None:
             return [self._gathered_rows(equation, operand, indices)]
         numbers_, sizes = equation.params["dimension_numbers"], equation.params["slice_sizes"]
-        return [operand.ravel()[_windows(known.tobytes(), known.shape, numbers_, sizes, operand.shape)]]
+        few = known.size * math.prod(sizes) <= MOST_ENTRIES
+        windows = _windows if few else _windows.__wrapped__
+        return [operand.ravel()[windows(known.tobytes(), known.shape, numbers_, sizes, operand.shape)]]
 
     def _gathered_rows(self, equation, operand, indices):
         """Windows at places that are values, of an index by lane."""

@@ -132,7 +132,7 @@ def _with_operands(program: ClosedJaxpr) -> tuple[ClosedJaxpr, list[Any]]:
     traced = [i for i, x in enumerate(program.consts) if isinstance(x, Tracer)]
     if not traced:
         return program, []
-    outer = [program.consts[i] for i in traced]
+    outer = [jnp.asarray(program.consts[i]) for i in traced]  # a tracer of a number of Python's has no type
 
     def function(*operands):
         constants = list(program.consts)

@@ -6,7 +6,6 @@ Place in the pipeline: emission, foreign_function -> **programs** -> primitive.
 import hashlib
 import math
 import threading
-from collections.abc import Hashable
 from typing import NamedTuple
 
 from jax.extend.core import ClosedJaxpr
@@ -53,18 +52,17 @@ def handler_name(digest: str, lanes: int, thorough: bool) -> str:
     return f"kernel_{digest}_{lanes}_{'thorough' if thorough else 'fast'}"
 
 
-_recent: dict[Hashable, Program] = {}
+_recent: dict[str, Program] = {}
 _lock = threading.Lock()
 
 
-def emitted(program: ClosedJaxpr, short: bool, digest: str | None) -> Program:
+def emitted(program: ClosedJaxpr, short: bool, digest: str) -> Program:
     """As `emit`, whose last programs are remembered by their digests: another number of lanes has the same one."""
-    key = digest or (program.jaxpr, short)
     with _lock:
-        found = _recent.pop(key, None)
+        found = _recent.pop(digest, None)
     found = emit(program, short) if found is None else found
     with _lock:
-        _recent[key] = found
+        _recent[digest] = found
         while len(_recent) > 1 and sum(len(one.body) for one in _recent.values()) > MOST_TEXT:
             del _recent[next(iter(_recent))]
     return found

@@ -15,6 +15,11 @@ from rfem_jax.kernels.emission import called_program
 from rfem_jax.kernels.entries import needed
 
 OPENED = frozenset(["jit", "pjit", "closed_call"])  # calls that are their content
+DIVISIBLE = frozenset(["scan", "cond", "checkpoint", "remat", "remat2"])  # by `jax.linearize`, into two of the kind
+
+
+class NotSeparable(Exception):
+    """A loop or a branch has a part that could be carried out before, and one that depends on the other operands."""
 
 
 class _Later:
@@ -26,8 +31,9 @@ def separated(program: ClosedJaxpr, fixed: Sequence[Any]) -> Callable[..., list[
 
     **Arguments:** `program`; `fixed`: its first operands.
 
-    **Returns:** its results as a function of the other operands, in which nothing else is left to be done.  A loop or a
-    branch that depends on these is left as a whole.
+    **Returns:** its results as a function of the other operands, in which nothing else is left to be done.
+
+    **Raises:** NotSeparable for a loop or a branch that depends on both.
     """
     left = [_Later() for _ in program.jaxpr.invars[len(fixed) :]]
     steps: list[tuple[JaxprEqn, list[Any], list[Any]]] = []
@@ -60,6 +66,8 @@ def _run(program: ClosedJaxpr, operands: list[Any], steps: list) -> list[Any]:
             found = _carried_out(equation, given)
         elif equation.primitive.name in OPENED:
             found = _run(called_program(equation.params), given, steps)
+        elif equation.primitive.name in DIVISIBLE:
+            raise NotSeparable
         else:
             found = [_Later() for _ in equation.outvars]
             steps.append((equation, given, found))

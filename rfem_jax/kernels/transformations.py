@@ -16,7 +16,7 @@ from jax.interpreters import ad, batching
 
 from rfem_jax.kernels.bodies import Body, Derived, one_by_one, over_samples, with_moving
 from rfem_jax.kernels.primitive import bind, kernel, kernel_p, samples_of
-from rfem_jax.kernels.separation import separated
+from rfem_jax.kernels.separation import NotSeparable, separated
 
 
 def _batched_rule(operands, axes, *, body: Body, batched: tuple[bool, ...]):
@@ -63,7 +63,7 @@ def _in_directions(operands, axes, body: Body, batched: tuple[bool, ...]):
         by_xla = over_samples(body.plain or single, spread)
         if body.origin is None:  # in several directions already
             return Derived(one_by_one(single, spread), like, results, by_xla)
-        of, _ = body.origin
+        of, moving = body.origin
         if of.long and of.order == 0:  # turns are few operations beside what kernels within them do for each direction
             return Derived(over_samples(single, spread), like, results, by_xla)
         if of.long:
@@ -71,7 +71,10 @@ def _in_directions(operands, axes, body: Body, batched: tuple[bool, ...]):
 
         def each(*given):
             operands, along = given[: len(of.operands)], given[len(of.operands) :]
-            linear = separated(body.program, operands)
+            try:
+                linear = separated(body.program, operands)
+            except NotSeparable:
+                linear = jax.linearize(of.as_moving(operands, moving), *(operands[i] for i in moving))[1]
             return jax.vmap(kernel(linear), [0 if s else None for s in spread[len(of.operands) :]])(*along)
 
         return Derived(each, like, results, by_xla)

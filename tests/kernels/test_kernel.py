@@ -443,3 +443,8 @@ def test_a_single_lane_has_no_vectors():
     assert "<4 x double>" in four and "gather" in four and "scatter" in four and "reduce.or" in four
     assert not any(mark in one for mark in ("<", "#", "splat", "gather", "scatter", "reduce"))
     assert_same(fast(function)(X, place), function(X, place))
+
+
+def test_closed_over_number_of_python_that_is_differentiated():
+    slope = jax.jacfwd(lambda z: kernel(lambda x: jnp.sin(x * z))(X))(1.3)
+    np.testing.assert_allclose(slope, X * np.cos(1.3 * X), rtol=1e-14)

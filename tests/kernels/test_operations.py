@@ -302,3 +302,10 @@ def test_polynomials():
     of_arrays = newer_primitives.polynomial(x, jnp.asarray(-1.0), x, jnp.asarray(2.0), unroll=None)
     np.testing.assert_allclose(of_arrays, -1.0 + x * x + 2.0 * x**2, rtol=1e-14)
     np.testing.assert_allclose(newer_primitives.one_minus_square(x), 1.0 - x**2, rtol=1e-15)
+
+
+def test_single_entry_at_a_known_place():
+    """Taken by a gather, not by a slice."""
+    sizes = jax.lax.GatherDimensionNumbers(offset_dims=(), collapsed_slice_dims=(0,), start_index_map=(0,))
+    found = kernel(lambda x: jax.lax.gather(x, np.array([2]), sizes, slice_sizes=(1,)))(jnp.array([0.5, 0.25, 0.125]))
+    assert found == 0.125 and found.shape == ()

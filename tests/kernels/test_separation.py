@@ -7,8 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from rfem_jax.kernels import kernel
 from rfem_jax.kernels.entries import needed
-from rfem_jax.kernels.separation import separated
+from rfem_jax.kernels.separation import NotSeparable, separated
 
 X, DX = jnp.array([0.3, -1.2, 2.0]), jnp.array([0.7, 0.1, -0.4])
 
@@ -41,8 +42,7 @@ FUNCTIONS = {
     "operations": lambda x: jnp.exp(x) / (1 + x**2),
     "call": lambda x: _called(_called(x)) + x,
     "rule": lambda x: _ruled(jnp.sin(x)),
-    "loop": _looped,
-    "branch": _branched,
+    "turns": lambda x: jax.lax.while_loop(lambda s: s[0] < 3, lambda s: (s[0] + 1, jnp.sin(s[1])), (0, x))[1],
     "constants": lambda x: jnp.array([1.0, 2.0, 3.0]) * x @ np.eye(3),
     "nothing": lambda x: (jnp.sin(x), jnp.zeros(2)),
 }
@@ -61,6 +61,25 @@ def test_same_results_as_the_whole(name):
     assert len(found) == len(expected)
     for one, other in zip(found, expected):
         np.testing.assert_allclose(one, other, rtol=1e-15, atol=1e-300)  # XLA rounds some sums of products once
+
+
+@pytest.mark.parametrize("function", [_looped, _branched, jax.checkpoint(_called)])
+def test_loops_and_branches_are_not_divided(function):
+    """Each has a part that would be repeated for every direction; `jax.linearize` makes two of one."""
+    with pytest.raises(NotSeparable):
+        separated(_tangent(function), [X])
+
+
+@pytest.mark.parametrize("function", [_looped, _branched])
+def test_kernels_divide_loops_and_branches(function):
+    """What does not depend on the directions is no part of the loop over these."""
+    along = jax.vmap(lambda dx: jax.jvp(kernel(function), [X], [dx])[1])
+    (equation,) = (one for one in jax.make_jaxpr(along)(jnp.eye(3)).eqns if one.primitive.name == "kernel"
+                   and one.params["body"].single is not None)  # fmt: skip
+    program = equation.params["body"].program
+    (each,) = (one for one in program.jaxpr.eqns if one.primitive.name == "kernel")
+    assert "sin" not in str(each.params["body"].program)
+    assert "sin" in str(program) or "cos" in str(program)
 
 
 @pytest.mark.parametrize("name", ["operations", "call", "rule"])

@@ -3,6 +3,7 @@ within a step show in that balance."""
 
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ from rfem_jax import (
     simulate,
 )
 from rfem_jax.simulation.outcome.remarks import BALANCE_LIMIT, REMARKABLE_BALANCE
-from tests.mechanisms import four_bar, link
+from tests.mechanisms import curved_four_bar, four_bar, link, slender_four_bar
 
 WEIGHTLESS = (0.0, 0.0, 0.0)
 
@@ -156,3 +157,12 @@ def test_auto_between_stiff_stops_meets_the_closed_form():
     np.testing.assert_allclose(run.motion.angle[15:], angles, rtol=0, atol=1e-3)
     # In contact the rate changes by 0.4 rad/s in 25 us.
     np.testing.assert_allclose(run.motion.rate[15:], rates, rtol=0, atol=0.4)
+
+
+@pytest.mark.parametrize("make", [slender_four_bar, curved_four_bar])
+def test_checks_are_traced_whatever_the_links_are_made_of(make):
+    """Things of a description, as a section along a link, cannot hold anything but numbers in the places of these."""
+    method = GeneralisedAlpha(step=2.5e-3)
+    simulation = Simulation(discretise(make()), drive=MomentRamp("A", 1.5, 0.02), duration=0.01, method=method)
+    traced = jax.make_jaxpr(lambda tilt: simulate(simulation, {"D.delta_x": tilt}).checks)(1e-3)
+    assert len(traced.out_avals) > 8

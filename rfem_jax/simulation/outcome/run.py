@@ -181,7 +181,8 @@ class Motion(eqx.Module):
 
 
 class Checks(eqx.Module):
-    """How well a run keeps the laws of mechanics; each of these can fail.  Only `equation_residual` has derivatives.
+    """How well a run keeps the laws of mechanics; each of these can fail.  Only `equation_residual` and `design_gap`
+    have derivatives.
 
     energy_balance_error: relative to the energy that is exchanged (`Energy.exchanged`, at least a thousandth of the
     largest joint force times the longest link); closure_drift [m], closure_drift_angle [rad]; momentum_balance_error

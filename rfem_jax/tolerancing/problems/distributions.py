@@ -198,6 +198,9 @@ def _odd(w, half):
     return jnp.where(w >= 0.0, half(jnp.abs(w)), -half(jnp.abs(w)))
 
 
+_NUMBERS = int | float | np.ndarray | np.generic | jax.Array
+
+
 def _half_width_and_centre(tolerance, interval) -> tuple[Float[Array, ""], Float[Array, ""], str | None]:
     """Half-width and centre [rad or m], and the unit, "rad" or "m", that a string gives them."""
     if (tolerance is None) == (interval is None):
@@ -217,16 +220,17 @@ def _half_width_and_centre(tolerance, interval) -> tuple[Float[Array, ""], Float
         raise InputError(
             f"Argument `interval` must have two ends of one unit, but it is {interval!r}; correct one of them."
         )
-    traced = isinstance(low, jax.core.Tracer) or isinstance(high, jax.core.Tracer)
-    numbers: Any = jnp if traced else np  # of a study file, for which JAX would compile every operation
+    # Numbers of a study file, for which JAX would compile every operation.
+    known = all(isinstance(x, _NUMBERS) and not isinstance(x, jax.core.Tracer) for x in (low, high))
+    numbers: Any = np if known else jnp
     low, high = numbers.asarray(low, jnp.float64), numbers.asarray(high, jnp.float64)
-    if not traced:
+    if not isinstance(low, jax.core.Tracer) and not isinstance(high, jax.core.Tracer):
         if not (np.isfinite(low) and np.isfinite(high) and low <= high):
             raise InputError(
                 f"Argument `interval` must be finite and rise from low to high, but it is "
                 f"({low}, {high}); swap or correct its ends."
             )
-    both = (numbers.asarray(x) for x in (0.5 * (high - low), 0.5 * (low + high)))
+    both = (numbers.asarray(x) for x in (0.5 * high - 0.5 * low, 0.5 * low + 0.5 * high))
     width, centre = (jnp.asarray(x, jnp.float64) for x in both)
     return width, centre, unit or other
 
