@@ -1,8 +1,10 @@
 """`rfem-jax init`: studies to start from, which are understood and simulated."""
 
 import json
+import runpy
 import sys
 import tomllib
+from pathlib import Path
 
 import pytest
 
@@ -83,3 +85,12 @@ def test_the_schema_is_printed(capsys):
     assert main(["keys", "--schema", "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert {key: printed[key] for key in study_schema()} == study_schema()
+
+
+def test_benchmarks_start_with_the_same_study(tmp_path):
+    """The rigid slider-crank has no errors, which it could not take up; the other one has its tolerance studies."""
+    program = runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "first_answer.py"))
+    rigid, whole = (load_study(program["new_study"](name, tmp_path)) for name in ("new_run", "new_sensitivity"))
+    assert [case.name for case in rigid.cases] == ["perfect"] and not any(one.flexible for one in rigid.mechanism.links)
+    assert len(whole.cases) > 1 and any(one.flexible for one in whole.mechanism.links)
+    assert {"monte_carlo", "sensitivity"} <= set(whole.tasks.declared)

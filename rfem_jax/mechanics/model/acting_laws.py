@@ -113,7 +113,7 @@ def force_nodes(mechanism: Mechanism, links: DividedLinks) -> ForceNodes:
 def frame_forces(parts: Parts, topology: Topology, links: Sequence[Link], points: ForceNodes) -> dict[str, FrameForce]:
     """The forces at points and between them, by their names."""
     elements: dict[str, FrameForce] = {}
-    # Of NumPy, with their type: JAX would compile the others.
+    # Of NumPy, and with their type: for other arrays JAX compiles a program in every process.
     nodes, unit = dict(points), jnp.asarray(np.eye(3), jnp.float64)
     base = NodeFrame(BASE, unit, jnp.asarray(np.zeros(3), jnp.float64))
     for force in parts.forces:

@@ -6,10 +6,8 @@ Errors of the energy balance and of the balance of joint loads against the rate 
 exchanged and carried (theory, part 11); a run that is off by more than `remarks.BALANCE_LIMIT` is not accepted.
 """
 
-import dataclasses
 from functools import partial
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
@@ -41,6 +39,7 @@ DRIFT_LIMIT = 1e-6
 LEAST_EXCHANGE = 1e-3
 
 
+@partial(kernel, name="checks", in_parts=True)
 def checks_of(
     model: Model,
     actual: ModelWithErrors,
@@ -52,28 +51,7 @@ def checks_of(
     shortest: Float[Array, ""],
 ) -> tuple[Checks, Int[Array, ""]]:
     """The checks that say whether a run is to be trusted, and its status; `assembled`: that of the assembly;
-    `duration` [s]; `shortest` [s]: step.
-
-    Only the residual of the equations has derivatives: what judges the numbers is one kernel, in derivatives as well.
-    """
-    given = (model, actual, assembled, carry, record, energy, duration, shortest)
-    fixed = jax.tree.map(lambda x: jax.lax.stop_gradient(x) if eqx.is_array(x) else x, given)
-    checks, status = _judged(*fixed)
-    return dataclasses.replace(checks, equation_residual=record.residual), status
-
-
-@partial(kernel, name="checks", in_parts=True)
-def _judged(
-    model: Model,
-    actual: ModelWithErrors,
-    assembled: Int[Array, ""],
-    carry: Carry,
-    record: Record,
-    energy: Energy,
-    duration: Float[Array, ""],
-    shortest: Float[Array, ""],
-) -> tuple[Checks, Int[Array, ""]]:
-    """As `checks_of`."""
+    `duration` [s]; `shortest` [s]: step."""
     drift = jnp.max(record.drift)
     largest = force_scale(model, actual, carry, energy, duration, shortest)
     error, (momentum, moment) = balance_error(model, energy, largest), momentum_error(model, record, largest)
