@@ -57,6 +57,24 @@ def test_errors_are_differentiable_in_the_width(kind):
     assert check_derivatives(error, 0.01, 1e-6, reverse=1e-12, differences=1e-7).forward > 0.1
 
 
+@pytest.mark.wrong_types
+@pytest.mark.parametrize("ends", [(None, 1.0), (1j, 2.0), ([0.1], [0.2]), (np.zeros(2), 1.0), (object(), 1.0)])
+def test_ends_of_intervals_are_numbers(ends):
+    with pytest.raises(InputError, match="must be a pair of numbers"):
+        Uniform(interval=ends)
+
+
+@pytest.mark.parametrize("numbers", [np.float64, jnp.asarray, float])
+def test_intervals_are_the_same_whatever_gives_their_ends(numbers):
+    """Traced or known, of NumPy or of JAX; and wide ones do not overflow."""
+    made = Uniform(interval=(numbers(-0.1), numbers(0.3)))
+    traced = jax.jit(lambda low, high: Uniform(interval=(low, high)).interval)(-0.1, 0.3)
+    np.testing.assert_array_equal(made.interval, traced)
+    assert jax.jacfwd(lambda high: Uniform(interval=(numbers(-0.1), high)).tolerance)(0.3) == 0.5
+    wide = Uniform(interval=(numbers(-1.7e308), numbers(1.7e308)))
+    assert wide.tolerance == 1.7e308 and wide.centre == 0.0
+
+
 @pytest.mark.parametrize("kind", (Uniform, Triangular, Normal, TruncatedNormal))
 def test_widths_and_intervals_may_be_strings_with_a_unit(kind):
     angle, length = kind("0.25 deg"), kind(interval=("-0.1 mm", "0.3 mm"))

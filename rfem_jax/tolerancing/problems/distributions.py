@@ -18,6 +18,7 @@ N. L. Johnson, S. Kotz, N. Balakrishnan, Continuous Univariate Distributions, vo
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
 import equinox as eqx
@@ -220,19 +221,30 @@ def _half_width_and_centre(tolerance, interval) -> tuple[Float[Array, ""], Float
         raise InputError(
             f"Argument `interval` must have two ends of one unit, but it is {interval!r}; correct one of them."
         )
-    # Numbers of a study file, for which JAX would compile every operation.
-    known = all(isinstance(x, _NUMBERS) and not isinstance(x, jax.core.Tracer) for x in (low, high))
-    numbers: Any = np if known else jnp
-    low, high = numbers.asarray(low, jnp.float64), numbers.asarray(high, jnp.float64)
+    low, high = _as_numbers(low, high)
     if not isinstance(low, jax.core.Tracer) and not isinstance(high, jax.core.Tracer):
         if not (np.isfinite(low) and np.isfinite(high) and low <= high):
             raise InputError(
                 f"Argument `interval` must be finite and rise from low to high, but it is "
                 f"({low}, {high}); swap or correct its ends."
             )
-    both = (numbers.asarray(x) for x in (0.5 * high - 0.5 * low, 0.5 * low + 0.5 * high))
-    width, centre = (jnp.asarray(x, jnp.float64) for x in both)
+    halves = 0.5 * low, 0.5 * high  # whose sum and difference do not overflow
+    width, centre = (jnp.asarray(one, jnp.float64) for one in (halves[1] - halves[0], halves[0] + halves[1]))
     return width, centre, unit or other
+
+
+def _as_numbers(low: Any, high: Any) -> tuple[Any, Any]:
+    """Ends of an interval as arrays without axes: of NumPy if both are known, since JAX would compile every operation.
+
+    Raises: InputError for anything else than numbers.
+    """
+    known = all(isinstance(x, _NUMBERS) and not isinstance(x, jax.core.Tracer) for x in (low, high))
+    numbers: Any = np if known else jnp
+    with suppress(TypeError, ValueError):
+        ends = numbers.asarray(low, jnp.float64), numbers.asarray(high, jnp.float64)
+        if not (ends[0].ndim or ends[1].ndim):
+            return ends
+    raise InputError(f"Argument `interval` must be a pair of numbers (low, high), but it is {(low, high)!r}.")
 
 
 def _parsed(value, what: str):
