@@ -51,7 +51,7 @@ def pytest_report_header():
 # No worker begins one of the longest files when the other one is about to end.
 LONG = (
     "programs/test_study_files.py", "programs/test_studies.py", "simulation/test_derivatives.py",
-    "validation/test_joint_benchmarks.py", "validation/test_benchmarks.py",
+    "validation/test_joint_benchmarks.py", "validation/test_benchmarks.py", "mechanics/test_formulations.py",
 )  # fmt: skip
 
 

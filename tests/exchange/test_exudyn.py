@@ -66,6 +66,7 @@ def text_of(study, case=None):
     return text
 
 
+@pytest.mark.long
 def test_the_script_holds_the_numbers():
     """Of rfes with all mass, of the frames with errors, of the drive at the ends of its pieces; in Exudyn's axes."""
     script = text_of(flexible(MomentRamp("A", 2.0, 0.05)), "askew")
@@ -169,6 +170,7 @@ def test_links_that_are_not_translated_are_refused():
         exudyn_text(replace(one, mechanism=replace(one.mechanism, links=thin)), None, "x")
 
 
+@pytest.mark.long
 def test_a_tapered_link_is_what_its_stations_say():
     one = flexible(MomentRamp("A", 2.0, 0.05))
     small = Rectangle(0.006, 0.008)
@@ -187,6 +189,7 @@ def test_a_tapered_link_is_what_its_stations_say():
     assert weaker < 0.8 and same == pytest.approx(1.0)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(os.name != "posix", reason="other systems have no such names")
 @pytest.mark.parametrize("name", ["a \"\"\" \\x '''.toml", "two\nlines.toml", "bad\udcff.toml"])
 def test_names_of_files_are_no_code(name, tmp_path):

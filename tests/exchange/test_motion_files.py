@@ -56,6 +56,7 @@ def arrays_of(root):
     return found
 
 
+@pytest.mark.long
 def test_a_collection_has_all_instants(moved):
     runs, _, folder, files = moved
     assert [file.name for file in files] == [
@@ -181,6 +182,7 @@ def test_bars_of_gltf_are_where_the_lines_are(moved):
         np.testing.assert_allclose(moves[joint["name"]]["translation"], arrays["centre"][:, j], atol=2e-7)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("make", [four_bar, curved_four_bar], ids=["straight", "curved"])
 def test_elements_follow_the_axes_of_links(make):
     """At rest each begins where the one before ends, from the links' origins to their ends, also along curves."""

@@ -326,7 +326,7 @@ def by_turns(x, rate):
 LONG = kernel(by_jax, selection="fast", reverse=by_turns)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "derivative",
     [

@@ -93,7 +93,7 @@ def test_pseudo_inverse_of_what_says_nothing():
     np.testing.assert_array_equal(vectors.pseudo_inverse(jnp.full((3, 2), 1e-14), 1e-9), np.zeros((2, 3)))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("size", [5, 17])  # by a kernel, and one sample after the other
 @pytest.mark.parametrize("columns", [(), (2,)])
 def test_equations_are_solved_with_derivatives_of_both_orders_in_both_modes(size, columns):
@@ -130,7 +130,7 @@ print(bool(jnp.isfinite(found).all()))
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_several_equations_of_a_batch_do_not_wait_for_each_other():
     """With LAPACK's function for batches the process hangs with JAX 0.10 on two cores."""
     assert in_a_new_process(SEVERAL, timeout=120).split() == ["True"]

@@ -148,6 +148,7 @@ def test_spatial_loops_close_from_the_driven_joint():
         np.testing.assert_allclose(np.linalg.norm(c - b), 0.4, rtol=1e-9)
 
 
+@pytest.mark.long
 def test_designs_stay_in_the_mode():
     """The start is closed anew for another length, and has derivatives."""
     for mode, way in (("open", 0), ("crossed", 1)):
@@ -163,6 +164,7 @@ def test_designs_stay_in_the_mode():
         np.testing.assert_allclose(jax.jit(jax.grad(angle))(0.3), by_difference, rtol=1e-6)
 
 
+@pytest.mark.long
 def test_what_cannot_be_is_told():
     with pytest.raises(InputError, match="joint 'C' stays open by .* other starts were tried"):
         discretise(four_bar(np.pi, base=0.6))

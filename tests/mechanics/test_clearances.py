@@ -113,7 +113,7 @@ class TestPinInBush:
         np.testing.assert_allclose(power, -rate - lost, rtol=1e-10)
         assert lost >= 0.0 and (lost > 0.0) == bool(DAMPERS[damper] or friction)
 
-    @pytest.mark.slow
+    @pytest.mark.long
     def test_tangent_is_the_derivative_by_the_accelerations(self, holder):
         one = pin(pin=holder, damping=0.4, **FRICTION)
         tangent = one.tangent(PRESSED, START, 1e-8, 1e-4)

@@ -97,7 +97,7 @@ def test_rates_of_the_deflections_are_their_derivatives(exact):
     np.testing.assert_allclose(rate, derivative, rtol=1e-10, atol=1e-12 * np.abs(derivative).max())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("size", [0.0, 1e-9, 1e-4, 0.04, 0.15, 0.5, 1.0])
 def test_deflections_meet_those_of_transforms_at_every_size(exact, size):
     """From angles within the series to rotations beyond 90 deg between neighbours."""
@@ -150,7 +150,7 @@ def test_a_rigid_motion_of_both_faces_changes_nothing(exact):
     assert np.abs(after[:, first] - before[:, first]).min(axis=1).max() > 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_both_forms_have_the_same_stiffness_when_undeformed():
     """The Hessian of the exact energy, by differentiating twice at zero, is the linear stiffness."""
     hessians = []

@@ -92,7 +92,7 @@ CASES = [
     (four_bar, "moment", "geometrically_exact"),
     (tapered_four_bar, "prescribed", "linear"),
     (tapered_four_bar, "moment", "geometrically_exact"),
-    pytest.param((curved_four_bar, "prescribed", "linear"), marks=pytest.mark.long),
+    (curved_four_bar, "prescribed", "linear"),
     (curved_four_bar, "moment", "geometrically_exact"),
     (open_chain, "prescribed", "geometrically_exact"),
     (slender_four_bar, "moment", "linear"),
@@ -119,6 +119,14 @@ CASES = [
     *[(named(loop_cut_by_sprung, kind), "moment", "linear") for kind in ("revolute", "universal", "fixed")],
 ]
 
+# Of which one takes ten seconds or more.
+LONG = {
+    "slender_six_bar", "three_link_loop", "six_link_loop", "two_loop_six_bar", "twisted_spatial_loop",
+    "curved_four_bar", "chain_of_kinds", "chain_with_forces", "chain_with_couplings", "chain_with_ideal_couplings",
+    "compliant_chain", "compliant_four_bar", "two_cuts_of_different_kinds", "loop_with_point_forces",
+    "loop_with_springs", "loop_cut_by-cylindrical", "loop_cut_by_sprung-fixed",
+}  # fmt: skip
+
 
 def drives_of(topology, driven):
     """The first two of several drives prescribed and the others given, or one of the two."""
@@ -133,7 +141,11 @@ def drives_of(topology, driven):
     return DriveInput(motions={k: motion}) if driven == "prescribed" else DriveInput({k: jnp.asarray(1.7)})
 
 
-@pytest.fixture(scope="module", params=CASES, ids=lambda case: "-".join([case[0].__name__, *case[1:]]))
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(case, marks=pytest.mark.long) if case[0].__name__ in LONG else case for case in CASES],
+    ids=lambda case: "-".join([case[0].__name__, *case[1:]]),
+)
 def compared(request):
     """Both formulations on random closed states with random errors, driven by a moment or a prescribed angle."""
     make, driven, elements = request.param

@@ -92,6 +92,7 @@ class TestLaws:
         expected = np.hypot(*ends[:2]) + np.hypot(*ends[2:])
         np.testing.assert_allclose(normal(force, moment, axis), expected, rtol=1e-8)
 
+    @pytest.mark.long
     def test_the_normal_load_is_smooth_at_zero(self):
         normal = law(coefficient=0.1, radius=0.01, sliding_rate=1.0, load_scale=2.0).load.size
 
@@ -158,7 +159,10 @@ def loops_with_friction():
 
 @pytest.fixture(
     scope="module",
-    params=[chain_with_friction, bearings_with_friction, loops_with_friction],
+    params=[
+        pytest.param(chain_with_friction, marks=pytest.mark.slow),
+        *(pytest.param(make, marks=pytest.mark.long) for make in (bearings_with_friction, loops_with_friction)),
+    ],
     ids=lambda make: make.__name__,
 )
 def compared(request):
@@ -204,7 +208,6 @@ def without_loads(tree):
     return jax.tree.map(lambda x: x[:1], tree)
 
 
-@pytest.mark.slow
 def test_accelerations_and_multipliers_agree(compared):
     model, (slow, explicit, _) = compared
     slow, reference, friction = without_loads(slow)

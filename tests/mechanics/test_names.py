@@ -157,7 +157,7 @@ def results(names):
     ]  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_programs_of_other_names_are_traced_once(traced):
     first = results(NAMES[0])
     count = traced.traced

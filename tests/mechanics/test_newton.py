@@ -198,7 +198,7 @@ def largest_gap(increment, exact):
     return max(np.abs(a - b).max() / np.abs(b).max() for a, b in pairs if b.size)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_matrix_is_the_tangent_at_rest(mechanism):
     """Undeformed and at rest, without weight, one increment solves the linearised equations."""
     model, actual, _, _, prescribed = mechanism
@@ -232,7 +232,7 @@ def test_matrix_is_the_tangent_at_rest(mechanism):
     np.testing.assert_allclose(by_increment, by_exact, atol=1e-7 * np.abs(by_exact).max())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("elements", ["linear", "geometrically_exact"])
 def test_matrix_holds_for_links_that_are_bent_to_fit(elements):
     """Assembled with an error of 1 deg, over a step that makes springs as good as rigid: spectral radii of the
@@ -314,6 +314,7 @@ def test_stiffness_of_undeformed_links_holds_their_elastic_energy():
     np.testing.assert_allclose(form, 2.0 * energy, rtol=1e-12)
 
 
+@pytest.mark.long
 def test_stiffness_of_exact_elements_holds_the_power_of_the_springs(exact_chain):
     """For random twists of the rfes at a large deflection: v K v = sum of C rate^2."""
     model, actual = exact_chain

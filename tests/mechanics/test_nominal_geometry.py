@@ -36,6 +36,7 @@ def _traced(model, angles):
     return jnp.concatenate([jacobian.joints, elastic.reshape(len(elastic), -1)], axis=1), values
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("mechanism", [two_loop_six_bar, twisted_spatial_loop])
 def test_geometry_and_jacobian_are_those_of_the_equations_of_motion(mechanism):
     """Two loops with a joint in the middle of a link, and skew axes; loops open and out of line."""

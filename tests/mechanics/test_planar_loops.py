@@ -79,6 +79,7 @@ def test_nothing_changes_where_loads_are_unique():
     assert not model.topology.minimum_norm and describe(model).reactions == ""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "mechanism",
     [
@@ -104,6 +105,7 @@ def test_what_is_symmetric_to_its_plane_loads_nothing_across_it(mechanism):
         np.testing.assert_allclose(np.asarray(load.moment)[[0, 2]], 0.0, atol=1e-12 * largest)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "mechanism",
     [
@@ -219,6 +221,7 @@ def test_no_derivatives_by_errors_across_the_plane():
     assert is_taken(partial(assembly_errors, asked), "D.d_y")
 
 
+@pytest.mark.long
 def test_forms_of_rigid_links_open_their_loops_where_joints_are():
     """Both ends of a bowed link stay where they are; a joint between them moves across the plane."""
     mechanism = rigid_links(two_loop_six_bar())
@@ -237,6 +240,7 @@ def test_joints_that_give_take_them_up():
     assert not is_taken(partial(assembly_errors, model), "D.delta_x")
 
 
+@pytest.mark.long
 def test_a_run_says_which():
     model = discretise(unloaded())
     run = simulate(Simulation(model, drive=None, duration=2e-4, method=RungeKutta4(step=1e-4)))
@@ -244,6 +248,7 @@ def test_a_run_says_which():
     assert [one for one in remarks_on(run) if ZERO in one] and ZERO in run.summary()
 
 
+@pytest.mark.long
 def test_a_planar_frame_of_rigid_links_has_its_loads():
     """A triangle that stands on a hinge and a slide: a structure that statics alone determines in its plane."""
     links = [link("left", 0.5), link("right", 0.5), plain("shoe", 0.1)]

@@ -82,6 +82,7 @@ def require_alike(one, other, rtol):
             np.testing.assert_allclose(right, left, atol=rtol * scale, err_msg=f"{name}.{part}")
 
 
+@pytest.mark.long
 def test_loads_at_rest_are_alike():
     """In the frames of joints, whose y axis is the hinge in both planes; with a design, whose numbers are turned.
     Geometrically exact, since linear elements take small rotations about their axes one after another."""
@@ -98,6 +99,7 @@ def test_loads_at_rest_are_alike():
     assert np.abs(first - second).max() > 0.1
 
 
+@pytest.mark.long
 def test_motions_and_paths_are_alike():
     deviations = ("along", "across", "out_of_plane")
     names = [*(f"K.rms_deviation_{part}" for part in deviations), "K.max_angle_deviation", "rod.max_stress"]

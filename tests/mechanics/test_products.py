@@ -60,7 +60,7 @@ def test_values(case, run):
     np.testing.assert_allclose(run(function)(*given), plain(*given), rtol=1e-14, atol=1e-15)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_derivatives_of_both_modes_and_of_second_order(case):
     function, plain, given = case
     shape = plain(*given).shape
@@ -87,7 +87,7 @@ def test_a_tangent_of_one_argument_and_of_none(case):
 AXES = ((0, 0), (-1, -1), (0, None), (None, 0), (1, 0), (-1, None), (0, -1))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_batches_on_any_axis(case):
     function, plain, given = case
     shape = plain(*given).shape

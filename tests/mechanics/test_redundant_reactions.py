@@ -179,6 +179,7 @@ def door_loads(length):
     return force, 0.5 * (moment - force * apart)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("cut", "names"), [("upper", ("lower", "upper")), ("lower", ("zeta", "alpha"))])
 @pytest.mark.parametrize("length", [None, 1.0, 0.01])
 def test_a_door_hangs_alike_on_both_hinges(cut, names, length):
@@ -324,7 +325,7 @@ def test_a_toggle_of_light_links_holds_its_load(mass):
         np.testing.assert_allclose(np.linalg.norm(turn.loads[name].force[0]), arms, rtol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_modes_in_any_plane():
     squares = []
     for rotation in random_rotations(1)[jnp.array([0, 3])]:
@@ -334,7 +335,7 @@ def test_modes_in_any_plane():
     np.testing.assert_allclose(squares[0], squares[1], rtol=1e-8)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_derivatives_of_least_reactions():
     """By one error after the other."""
     model = discretise(loop())
@@ -413,7 +414,7 @@ def test_the_dense_formulation_finds_the_same_reactions(make):
         np.testing.assert_allclose(moment / scale[1], dense[3:, j] / scale[1], atol=1e-9, err_msg=kind)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_length_that_is_a_parameter_changes_the_norm():
     model = discretise(door())
 

@@ -92,7 +92,7 @@ def test_no_loop_around_kernels_is_left_to_xla(derivative):
     assert "stablehlo.while" not in text
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("make, most, rounding", [(four_bar, 1e-3, 1e-12), (twisted_spatial_loop, 1e-2, 1e-3)])
 def test_the_preconditioner_is_nearly_exact(make, most, rounding):
     """Of a mechanism at rest, undeformed: spectral radius of the iteration. It is symmetric, but for the signs of rows

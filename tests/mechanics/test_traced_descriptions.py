@@ -85,6 +85,7 @@ def test_a_traced_description_is_the_design_with_its_numbers_and_has_derivatives
     np.testing.assert_allclose(found.values, of_description(np.ones(len(values)).tolist()), rtol=1e-9)
 
 
+@pytest.mark.long
 def test_without_compilation_derivatives_alone_see_traced_numbers_too():
     def length_of_rfe(height, length):
         model = discretise(described(length, height, 3e4, -9.81))
@@ -118,6 +119,7 @@ def test_what_loops_are_closed_by_may_be_traced(traced):
     np.testing.assert_allclose(found, starts({}), rtol=0.0, atol=1e-10)
 
 
+@pytest.mark.long
 def test_the_place_of_a_point_may_be_traced():
     def place(x, z):
         nominal = Mechanism([link("arm", 0.3)], [Joint("A", "base", "arm", angle=0.2)], driven_joint="A")

@@ -18,6 +18,7 @@ def column(rows, name):
     return np.array([float(row[name]) for row in rows])
 
 
+@pytest.mark.long
 def test_assembly_preload(run_program, tmp_path):
     said = run_program("studies/assembly_preload/study.py", "--quick", "--out", tmp_path)
     assert "Tables and pictures are in" in said
@@ -36,6 +37,7 @@ def test_assembly_preload(run_program, tmp_path):
     np.testing.assert_allclose(column(drive, "moment_Nm"), column(drive, "derivative_of_energy_Nm"), atol=0.02)
 
 
+@pytest.mark.long
 def test_bearing_stiffness(run_program, tmp_path):
     said = run_program("studies/bearing_stiffness/study.py", "--quick", "--out", tmp_path)
     assert "Distance from ideal joints" in said
@@ -67,6 +69,7 @@ def test_bearing_stiffness(run_program, tmp_path):
         assert len(own) == 12 and (low < sums).all() and (sums < high).all()
 
 
+@pytest.mark.long
 def test_clearance_in_motion(run_program, tmp_path):
     said = run_program("studies/clearance/motion.py", "--quick", "--out", tmp_path)
     assert "The 95 % RMS force of D is least" in said
@@ -111,6 +114,7 @@ def test_clearance(run_program, tmp_path):
     assert taken[0] == pytest.approx(0.25 * (force[0] - force[1]) / (force[0] - force[3]))
 
 
+@pytest.mark.long
 def test_robust_four_bar(run_program, tmp_path):
     """Every way is answered, and its price is that of its mass and its tolerances. The step of the trial is too long
     for some of the fresh mechanisms."""
@@ -129,6 +133,7 @@ def test_robust_four_bar(run_program, tmp_path):
 QUESTIONS = ("rfes", "steps", "elements", "crank", "damping")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("question", QUESTIONS)
 def test_convergence(run_program, tmp_path, question):
     said = run_program("studies/convergence/study.py", "--quick", "--questions", question, "--out", tmp_path)

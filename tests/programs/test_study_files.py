@@ -98,7 +98,7 @@ def run_command(run_program, tmp_path):
     return run
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_undamped_four_bar(run_command):
     """`test_main_study.py` has the study beside it."""
     out, said = run_command("run", reduced("four_bar/undamped.toml"))
@@ -110,7 +110,7 @@ def test_undamped_four_bar(run_command):
     assert forces[1] > 5.0 * forces[0] and "P5" in said
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_monte_carlo(run_command):
     out, said = run_command("monte-carlo", reduced("monte_carlo/study.toml"))
     with open(out / "monte_carlo.csv", newline="", encoding="utf-8") as file:
@@ -134,7 +134,7 @@ COMMANDS = {
 ON_THEIR_OWN = ("monte_carlo", "identify_misassembly")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "command"),
     [
@@ -181,8 +181,12 @@ def test_identify_misassembly(run_program, run_command, tmp_path):
 
 @pytest.mark.long
 def test_identify_misassembly_corrects_the_machine(run_program, run_command):
-    """The whole study; the true machine, which the estimate does not know, keeps what every correction promises."""
-    text = (STUDIES / "identify_misassembly" / "study.toml").read_text(encoding="utf-8")
+    """The study with fewer samples of what is known; the true machine, which the estimate does not know, keeps what
+    every correction promises."""
+    content = tomllib.loads((STUDIES / "identify_misassembly" / "study.toml").read_text(encoding="utf-8"))
+    content["identification"]["samples"] = 128
+    content["identification"]["correction"]["points"] = 4
+    text = "\n".join(f"{key} = {to_toml(value)}" for key, value in content.items())
     data = STUDIES / "identify_misassembly" / "measured.csv"
     out, _ = run_command("identify", text, "--data", data)
     correction = json.loads((out / "identification.json").read_text())["correction"]
@@ -193,7 +197,7 @@ def test_identify_misassembly_corrects_the_machine(run_program, run_command):
     assert said.count(": kept") == 5 and "not kept" not in said
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_clearance(run_command):
     """Its mechanism over a turn; derivatives for its tasks take most of a minute to compile, and
     `tests/tolerancing/test_allocation_with_clearance.py` has such tasks."""
@@ -252,7 +256,7 @@ def straight_line(t, coupler=0.25, rocker=0.25, base=0.2):
     return pin + 2.0 * coupler * np.stack([np.cos(slope), np.sin(slope)], axis=1)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_straight_line(run_command):
     """The whole stroke, against closed kinematics and a line by singular values; what README.md says of the cases."""
     content = tomllib.loads((STUDIES / "straight_line" / "study.toml").read_text(encoding="utf-8"))
@@ -278,7 +282,7 @@ def test_straight_line(run_command):
         assert metrics["P.straightness"] - 0.99417e-3 == pytest.approx(1e-3 * bent, rel=1e-2)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_connecting_rod(run_command):
     """A bow sideways: the pins hold the ends of the rod parallel, each by 2 N b / pi; in the plane they turn."""
 
@@ -337,7 +341,7 @@ def slider_crank_shakes(counterweight, crank=0.06, rod=0.2, rate=20.0 * np.pi):
     return rate**2 * np.sqrt(np.mean(along**2 + (turning * sine) ** 2))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_balancing_of_a_slider_crank(run_command):
     """Shaking forces are those of the closed form; the best counterweight balances what turns and half of what
     slides."""
@@ -354,7 +358,7 @@ def test_balancing_of_a_slider_crank(run_command):
         assert cases[case]["metrics"]["rms_shaking_force"] == pytest.approx(shown, rel=5e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_balancing_of_a_four_bar(run_command):
     """The conditions of Berkof and Lowen for links whose mass centres lie on their lines."""
     out, _ = run_command("run", balancing("four_bar.toml"))
@@ -416,7 +420,7 @@ def at_work(content):
         joint |= starts.get(joint["name"], {})
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_six_bar_press(run_command):
     """With the crank held, the ram is in equilibrium between work, weight, pin and guide."""
     text = without_tasks(reduced("six_bar_press/study.toml", change=at_work))
@@ -472,7 +476,7 @@ def test_tasks_of_the_press(run_command):
     assert json.loads((out / "allocation.json").read_text())["status"] == "ok"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_spatial_linkage(run_command):
     """All tasks, with a rigid coupler, which compiles in half the time."""
 
@@ -522,7 +526,7 @@ def without(table, key):
     return {name: value for name, value in table.items() if name != key}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_bearing_stiffness(run_command):
     """All tasks, one after the other."""
     out, said = run_command("run", reduced("bearing_stiffness/study.toml", change=shaft_in_two_bearings))

@@ -143,7 +143,7 @@ def test_what_cannot_be_asked_is_said(study, tmp_path, capsys):
         assert words in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_metrics_of_all_cases_of_a_run(tmp_path, capsys):
     text = STUDY.replace("rfes = 2", "rigid = true").replace("duration = 0.1", "duration = 1e-3\nsave_every = 5e-4")
     text = text.replace("step = 1e-6", "step = 1e-4").replace(
@@ -170,7 +170,7 @@ def test_metrics_of_all_cases_of_a_run(tmp_path, capsys):
     assert "did you mean `mass`" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_cycle_is_reported_as_a_run_of_one_revolution(tmp_path, capsys):
     text = STUDY.replace("rfes = 2", "rigid = true").replace("duration = 0.1", "duration = 1.0\nsave_every = 0.5")
     text = text.replace("step = 1e-6", "step = 0.05").replace("rate = 1\n", "rate = 1\nrise_time = 0.1\n")

@@ -70,7 +70,7 @@ def one_sentence(capsys):
     return lines[0]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_run_prints_and_writes_everything(packages, runs, study_file, tmp_path, capsys):
     out = tmp_path / "deep" / "results"
     assert main(["run", str(study_file), "--out", str(out)]) == 0
@@ -83,7 +83,7 @@ def test_run_prints_and_writes_everything(packages, runs, study_file, tmp_path, 
     assert "Simulating 3 cases: 100 %" in captured.err
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_failed_case_is_exit_code_3_and_is_written(packages, runs, study_file, tmp_path, capsys):
     runs["P2"].status = 3
     assert main(["run", str(study_file), "--out", str(tmp_path)]) == 3
@@ -298,7 +298,7 @@ def answer_of(capsys, *arguments):
     return code, found, captured.err
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_answer_for_machines(packages, runs, study_file, tmp_path, capsys):
     """One document and nothing else on standard output, of every command."""
     runs["P2"].status = 3
@@ -316,7 +316,7 @@ def test_an_answer_for_machines(packages, runs, study_file, tmp_path, capsys):
     assert code == 2 and "missing.toml" in found["problems"][0] and said == found["problems"][0] + "\n"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_quiet(packages, study_file, tmp_path, capsys):
     assert main(["run", str(study_file), "--out", str(tmp_path / "out"), "--quiet"]) == 0
     captured = capsys.readouterr()
@@ -347,7 +347,7 @@ def settings_in_a_new_process(tmp_path, arguments="", **environment):
     return answer.stdout.split()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_jax_is_set_up_with_a_cache_in_the_users_folder(tmp_path):
     double, folder = settings_in_a_new_process(tmp_path)
     assert double == "True"
@@ -472,7 +472,7 @@ def test_the_command_ends_without_looking_for_garbage(monkeypatch, own_signals):
     assert script.load()() == 3 and asked == ["freeze"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_check_loads_what_it_needs(tmp_path):
     """Integrators, optimisers, statistics and pictures take longer to import than the check itself."""
     study = Path(__file__).parents[2] / "studies" / "four_bar" / "study.toml"

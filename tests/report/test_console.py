@@ -30,7 +30,7 @@ def titled(tmp_path):
     return path
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("encoding", ["ascii", "cp1252", "utf-8"])
 def test_characters_that_the_console_lacks_are_printed_by_number(packages, titled, tmp_path, monkeypatch, encoding):  # noqa: F811
     printed = io.BytesIO()
@@ -43,7 +43,7 @@ def test_characters_that_the_console_lacks_are_printed_by_number(packages, title
     assert json.loads((tmp_path / "out" / "results.json").read_text(encoding="utf-8"))["title"] == TITLE
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_process_without_streams(packages, study_file, tmp_path, monkeypatch):  # noqa: F811
     for name in ("stdout", "stderr"):
         monkeypatch.setattr(sys, name, None)
@@ -99,6 +99,7 @@ sys.exit(rfem_jax_command.run())
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("module", "lost", "options"),
     [

@@ -94,6 +94,7 @@ def columns(file):
     return np.genfromtxt(file, delimiter=",", names=True)
 
 
+@pytest.mark.long
 def test_the_files_have_both_loads(folder):
     perfect, eccentric = (columns(folder / f"{case}.csv") for case in ("perfect", "eccentric"))
     assert_allclose(perfect["G_displacement_m"], RADIUS * RATE * perfect["time_s"], rtol=0, atol=1e-9)
@@ -118,6 +119,7 @@ def ideal(tmp_path_factory):
     return file
 
 
+@pytest.mark.long
 def test_an_ideal_coupling_follows_its_errors_at_once(ideal, capsys):
     out = ideal.parent / "out"
     assert main(["run", str(ideal), "--out", str(out)]) == 0
@@ -131,6 +133,7 @@ def test_an_ideal_coupling_follows_its_errors_at_once(ideal, capsys):
     assert "of joints A, R_y and G, T_x, ideal, by a ratio" in " ".join(capsys.readouterr().out.split())
 
 
+@pytest.mark.long
 def test_tasks_with_an_ideal_coupling(ideal):
     """Monte Carlo by an angle that a load holds: the moment is the force times the radius of each sample."""
     text = ideal.read_text(encoding="utf-8")
@@ -160,6 +163,7 @@ name = "perfect"
     assert_allclose(drawn["meshmax_mesh_force_N"], 10.0 * MASS, rtol=1e-12)
 
 
+@pytest.mark.long
 def test_a_turn_has_the_loads(path, tmp_path):
     """At rest the mesh carries nothing."""
     assert main(["turn", str(path), "--out", str(tmp_path)]) == 0
@@ -180,6 +184,7 @@ def test_labelled_data(path):
     assert_allclose(data["coupling_deflection"].sel(case="perfect", coupling="mesh"), 0.0, atol=1e-9)
 
 
+@pytest.mark.long
 def test_errors_have_sensitivities(path, capsys):
     out = path.parent / "sensitivity"
     assert main(["sensitivity", str(path), "--out", str(out)]) == 0

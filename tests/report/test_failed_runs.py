@@ -45,7 +45,7 @@ def run_away(value, number):
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("number", [np.inf, 1e200, 1.7e308])
 def test_a_run_that_diverged_is_reported_without_a_warning(study, runs, statuses, tmp_path, number):
     away = run_away(synthetic_run(2.0), number)

@@ -58,6 +58,7 @@ def _coarse(monkeypatch):
     monkeypatch.setattr(ConstrainedLayoutEngine, "execute", lambda engine, figure: None)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("_coarse")
 def test_a_case_that_failed_is_marked_in_every_picture(study, runs, statuses):
     statuses["P2"] = ("diverged", "The run diverged; reduce the step.")
@@ -80,7 +81,7 @@ def bars(figure, panel):
     return {one.get_label(): [bar.get_height() for bar in one] for one in axes.containers}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_all_pictures_are_written_and_none_is_blank(tmp_path, study, runs, statuses):
     paths = write_figures(tmp_path, study, runs, summarise(study, runs, statuses))
     assert {path.stem for path in paths} == NAMES
@@ -117,7 +118,7 @@ def test_the_note_is_the_caption_of_every_picture(study, runs, statuses):
         assert "Substitute data." in texts(figure), name
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("_coarse")
 def test_a_dollar_in_the_title_is_a_dollar(tmp_path, study, runs, statuses):
     priced = replace(study, title=r"Costs $5, not $\alpha_{", note="$ and $")
@@ -170,7 +171,7 @@ def test_joints_of_the_base_and_the_most_loaded_ones_have_their_pictures(figures
     assert shown_joints(study, summaries) == ["A", "D", "C", "B"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("_coarse")
 def test_a_failed_case_is_marked_and_does_not_break_pictures(tmp_path, study, runs, statuses):
     run = runs["P2"]
@@ -276,7 +277,7 @@ def test_a_compliant_joint_is_marked_by_a_coil(study, runs):
     np.testing.assert_allclose([coil[[0, 2]] for coil in coils], [[0.0, 0.12], [0.244, 0.295]], atol=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("symbols", [0, 9])
 def test_no_label_of_the_assembly_is_clipped(study, runs, symbols, monkeypatch):
     """Labels of axes and legend are inside of the picture and apart from each other, for any number of cases, links and

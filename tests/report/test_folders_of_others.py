@@ -92,7 +92,7 @@ def test_samples_of_another_study(task_file, finished, capsys, nothing_computed,
     assert contents(out) == before
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_samples_of_another_accuracy_of_a_method_that_is_chosen(
     task_file,  # noqa: F811
     tmp_path,

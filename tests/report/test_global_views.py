@@ -79,7 +79,7 @@ def test_the_pictures_of_a_sweep_show_its_points(path, tmp_path):
     assert len(contours.axes[0].collections) > 0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_reliability_study_is_computed_written_and_drawn(path, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["reliability", str(path), "--out", str(out)]) == 0

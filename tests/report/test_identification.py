@@ -123,6 +123,7 @@ def test_errors_are_identified_written_and_drawn(path, tmp_path, capsys):
     assert task["name"] == "identification" and len(task["result"]["curves"]) == 2
 
 
+@pytest.mark.long
 def test_the_pictures_show_what_was_measured_and_found(path, tmp_path):
     report = report_on(load_study(path), "identification")
     result = report.run(tmp_path)
@@ -136,6 +137,7 @@ def test_the_pictures_show_what_was_measured_and_found(path, tmp_path):
     assert [one.get_width() for one in axes.patches] == pytest.approx([6.0, 6.0])  # tolerances of 3 deviations
 
 
+@pytest.mark.long
 def test_a_correction_is_written_told_and_drawn(path, tmp_path, capsys):
     path.write_text(STUDY + TABLES + CORRECTION, encoding="utf-8")
     study, out = load_study(path), tmp_path / "out"
@@ -186,6 +188,7 @@ def measure_machines(path, count=12):
     path.write_text("\n".join(rows) + "\n", encoding="utf-8")
 
 
+@pytest.mark.long
 def test_several_machines_tell_the_errors_of_production(path, tmp_path, capsys):
     measure_machines(tmp_path / "measured.csv")
     out = tmp_path / "out"
@@ -406,6 +409,7 @@ def build_of_experiment(study, metrics, model=None, trials=None):
     )  # fmt: skip
 
 
+@pytest.mark.long
 def test_further_experiments_are_read_from_their_files(answered_by, tmp_path, capsys):
     """At another duration, as another study says, and with an error that was made on purpose."""
     tables = TABLES + (

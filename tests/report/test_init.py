@@ -59,7 +59,7 @@ def test_its_tasks_are_understood_where_they_are_taken_in(kind, tmp_path):
     assert load_study(path).tasks.declared == ("sensitivity", "monte_carlo")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_slider_crank_runs(tmp_path, monkeypatch):
     """With fewer rfes, two steps and without pictures, as compilation is all that takes time; that of two loops takes a
     minute, so that the others are only closed above."""

@@ -82,7 +82,7 @@ def interrupting(monkeypatch, turn):
     return computed
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("command", "name", "turn"), [("worst-case", "worst_case", 3), ("allocate", "allocation", 4)])
 def test_evaluations_are_kept(closed, task_file, tmp_path, capsys, monkeypatch, command, name, turn):
     with monkeypatch.context() as without:
@@ -127,7 +127,7 @@ def test_another_study_reads_none_of_them(closed, task_file, tmp_path, monkeypat
     assert len(computed) - count == 2 * with_all
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_samples_are_kept_and_run_says_how_to_go_on(closed, task_file, tmp_path, capsys, monkeypatch, runs):
     monkeypatch.setattr(rfem_jax.simulation, "run_cases", lambda study, **_: (None, runs))
     out = tmp_path / "out"
@@ -146,7 +146,7 @@ def test_samples_are_kept_and_run_says_how_to_go_on(closed, task_file, tmp_path,
     assert main(["monte-carlo", str(task_file), "--out", str(out)]) == 0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_cases_go_on_where_they_stopped(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(command_line, "set_up_jax", lambda *_: None)
     path, out = tmp_path / "study.toml", tmp_path / "out"

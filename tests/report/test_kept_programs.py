@@ -51,7 +51,6 @@ def run(folder, out, *options, angle="-90"):
 
 
 @pytest.mark.long
-@pytest.mark.slow
 def test_a_second_run_traces_nothing_and_writes_the_same(tmp_path):
     first, histories = run(tmp_path, "first")
     made = first["compilation"]["programs_traced"]

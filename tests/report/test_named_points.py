@@ -110,6 +110,7 @@ def test_a_run_and_a_page_have_the_end_of_the_hand(tmp_path):
     assert metrics["A.max_deviation"] == 0.0
 
 
+@pytest.mark.long
 def test_monte_carlo_studies_have_the_band(tmp_path):
     path = written(tmp_path, STUDY.replace(TABLE, "") + TOLERANCES.replace("tip", "hand.end"))
     assert main(["monte-carlo", str(path), "--out", str(tmp_path)]) == 0
@@ -120,7 +121,7 @@ def test_monte_carlo_studies_have_the_band(tmp_path):
     assert (tmp_path / "monte_carlo_path_hand.end.png").stat().st_size > 10_000
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_tasks_know_them_at_rest(tmp_path):
     found = answer(tmp_path, "sensitivity", WIDE + '[sensitivity]\nmetrics = ["hand.end.x", "B.x"]\norder = 1\n')
     for metric in ("hand.end.x", "B.x"):
@@ -133,7 +134,7 @@ def test_tasks_know_them_at_rest(tmp_path):
     assert_allclose(table["handendx_m"], UPPER + LENGTH + table["upperlength_m"] + table["Bd_x_m"], rtol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_tolerances_of_them_are_allocated(tmp_path):
     text = '[allocation]\nlimits = { "hand.end.deviation_x" = ["-0.5 mm", "0.5 mm"] }\n[allocation.bounds]\n'
     text += '"upper.length" = ["0.01 mm", "1 mm"]\n"hand.length" = ["0.01 mm", "2 mm"]\n'
@@ -144,7 +145,7 @@ def test_tolerances_of_them_are_allocated(tmp_path):
     assert found["status"] == "ok"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_design_is_found_by_them(tmp_path):
     text = '[design]\n"hand.length" = ["0.2 m", "0.4 m"]\n[optimise]\nobjective = { "hand.end.x" = 1.0 }\n'
     text += 'limits = { "hand.end.x" = ["0.45 m", "0.7 m"] }\nrobust = "nominal"\nstarts = 2\n'

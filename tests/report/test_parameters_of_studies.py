@@ -68,7 +68,7 @@ def out(tmp_path_factory):
     return folder / "out"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_case_deviates(out):
     cases = json.loads((out / "results.json").read_text(encoding="utf-8"))["cases"]
     for name, height in (("nominal", SIDE), ("high", SIDE + 1e-3)):
@@ -76,6 +76,7 @@ def test_a_case_deviates(out):
         assert found == pytest.approx(math.sqrt(square_of_force(height, SIDE)), rel=1e-9)
 
 
+@pytest.mark.long
 def test_a_sweep_varies_parameters(out):
     rows = rows_of(out / "sweep.csv")
     assert len(rows) == 9
@@ -84,6 +85,7 @@ def test_a_sweep_varies_parameters(out):
         assert float(row["A.mean_square_force_N2"]) == pytest.approx(square_of_force(height, width), rel=1e-9)
 
 
+@pytest.mark.long
 def test_parameters_break_a_limit_as_often_as_they_should(out):
     (row,) = rows_of(out / "reliability.csv")
     # Height times width above 1.15 times the nominal one, both uniform within a tenth.
@@ -92,6 +94,7 @@ def test_parameters_break_a_limit_as_often_as_they_should(out):
     assert float(row["probability"]) == pytest.approx(exact, rel=0.15)
 
 
+@pytest.mark.long
 def test_an_optimum_holds_in_the_worst_case(out):
     found = json.loads((out / "optimise.json").read_text(encoding="utf-8"))
     # The force is at least 0.9 of the nominal one where height and width are a millimetre less; the faster the arm

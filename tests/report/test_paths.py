@@ -81,6 +81,7 @@ def columns(file):
     return np.genfromtxt(file, delimiter=",", names=True)
 
 
+@pytest.mark.long
 def test_points_are_reported_by_their_deviations_unless_metrics_name_others(path, folder, tmp_path):
     results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
     perfect, long = (results["cases"][case]["metrics"] for case in ("perfect", "long"))
@@ -124,6 +125,7 @@ def test_labelled_data_have_the_path(path):
     assert data.path_acceleration.attrs["units"] == "m/s^2"
 
 
+@pytest.mark.long
 def test_cycles_and_turns_have_the_path(path):
     cycle, turn = path.parent / "cycle", path.parent / "turn"
     assert main(["cycle", str(path), "--out", str(cycle)]) == 0
@@ -147,6 +149,7 @@ metrics = ["tip.max_deviation"]
 """
 
 
+@pytest.mark.long
 def test_monte_carlo_studies_have_the_band(path, tmp_path):
     study = tmp_path / "study.toml"
     study.write_text(STUDY + TOLERANCES, encoding="utf-8")
@@ -163,6 +166,7 @@ def test_monte_carlo_studies_have_the_band(path, tmp_path):
     assert (tmp_path / "monte_carlo_path_tip.png").stat().st_size > 10_000
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("bands", "words"),
     [

@@ -77,7 +77,7 @@ class Unread(io.TextIOBase):
         return False
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("command", ["run", "check"])
 def test_it_is_no_folder_that_cannot_be_written(packages, study_file, tmp_path, monkeypatch, capsys, command):  # noqa: F811
     monkeypatch.setattr(sys, "stdout", Unread())

@@ -84,7 +84,7 @@ def run_study(folder, text):
     return case
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_its_runs_have_results_and_pictures(registered, tmp_path):
     """The same loads as by the classical method of order 4, but not to the last digit."""
     own = RK4.replace('method = "rk4"', 'method = "kutta3"\nmiddle = 0.4')
@@ -107,7 +107,7 @@ def test_its_step_is_checked_by_its_own_stability_function(registered, tmp_path)
         check_step(model, named_method("kutta3", step=1.01 * limits[0]), study.drive)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_its_derivatives_are_the_same_in_both_modes(registered, tmp_path):
     (tmp_path / "study.toml").write_text(RK4, encoding="utf-8")
     study = load_study(tmp_path / "study.toml")

@@ -33,6 +33,7 @@ def pull(length):
     return 7850.0 * 0.25 * np.pi * 0.01**2 * length * RATE**2 * 0.5 * length
 
 
+@pytest.mark.long
 def test_files_have_it_and_its_metrics(folder):
     table = np.genfromtxt(folder / "perfect.csv", delimiter=",", names=True)
     angle, force = RATE * table["time_s"], pull(LENGTH)
@@ -64,6 +65,7 @@ def test_axes_add_columns_and_components(folder):
     assert {"Force in A, global axes", "Moment in A, global axes"} <= {one["label"] for one in packed["quantities"]}
 
 
+@pytest.mark.long
 def test_cycles_and_turns_have_them_too(folder):
     study, cycle, turn = folder.parent / "study.toml", folder.parent / "cycle", folder.parent / "turn"
     assert main(["cycle", str(study), "--out", str(cycle), "--axes", "child"]) == 0

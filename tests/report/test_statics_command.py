@@ -29,7 +29,7 @@ def changed(tmp_path, *changes):
     return path
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_toggle_is_held_by_its_closed_form(tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["statics", str(TOGGLE), "--out", str(out)]) == 0
@@ -55,7 +55,7 @@ def test_a_toggle_is_held_by_its_closed_form(tmp_path, capsys):
     assert [one["name"] for one in content_of(out / "report.html")["tasks"]] == ["statics"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_tolerances_of_a_mechanism_at_rest(tmp_path, capsys):
     out = tmp_path / "out"
     path = changed(tmp_path, ('A = ["-20 deg", "-10 deg", "-5 deg", "-2 deg"]', 'A = "-20 deg"'))

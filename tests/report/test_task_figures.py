@@ -54,7 +54,7 @@ def draw(study, name, result):
     return report_on(study, name).pictures(result)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_no_picture_is_blank(study, problem, tmp_path):
     figures = draw(study, "monte_carlo", scatter(problem))
     figures |= draw(study, "sensitivity", Derivatives(sensitivity(problem, scale=WIDTHS), False))
@@ -114,6 +114,7 @@ def test_the_scatter_matrix_shows_every_sample(study, problem):
     assert figure.axes[20].get_xlabel() == "D.delta_x\ndeg"
 
 
+@pytest.mark.long
 def test_sobol_indices_are_bars_with_their_intervals(study, problem):
     tolerances = Tolerances({name: Uniform(width) for name, width in WIDTHS.items()})
     result = monte_carlo(problem, tolerances, 64, jax.random.key(0), sobol_indices=True)

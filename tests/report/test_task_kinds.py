@@ -136,7 +136,7 @@ def test_its_picture_shows_its_numbers(registered, path):
     np.testing.assert_array_equal([bar.get_height() for bar in figure.axes[0].patches], [2.0, 4.0, 6.0, 8.0])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_run_and_check_and_help_follow(registered, path, tmp_path, capsys, monkeypatch, runs):
     monkeypatch.setattr(rfem_jax.simulation, "run_cases", lambda study, **_: (None, runs))
     assert main(["run", str(path), "--out", str(tmp_path / "out")]) == 0

@@ -39,7 +39,7 @@ def contents(folder):
     return {path.name: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("command", COMMANDS)
 def test_the_same_command_twice_writes_the_same_files(task_file, tmp_path, command):
     out = tmp_path / "out"
@@ -110,7 +110,7 @@ def long_problem(study, metrics, model=None, trials=None):
     return Undamped(function, closed_form.NAMES, named, error_units={"D.d_y": "m"})
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("command", [*COMMANDS, "check"])
 def test_no_printed_line_is_wider_than_a_terminal(task_file, tmp_path, capsys, monkeypatch, command):
     monkeypatch.setattr(study_problem, "build_problem", long_problem)

@@ -146,7 +146,7 @@ def test_sensitivity(task_file, tmp_path, capsys):
     assert "damping" not in text
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("command", ["run", "sensitivity"])
 def test_the_process_that_draws_is_started_before_anything_is_computed(command, task_file, tmp_path, monkeypatch, runs):
     order = []
@@ -186,7 +186,7 @@ def test_monte_carlo(task_file, tmp_path, capsys):
     assert "all limits" in capsys.readouterr().out
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_interrupted_study_continues_by_the_same_command(task_file, tmp_path, monkeypatch):
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     assert call("monte-carlo", task_file, whole) == 0
@@ -208,7 +208,7 @@ def test_an_interrupted_study_continues_by_the_same_command(task_file, tmp_path,
         assert (parts / name).read_bytes() == (whole / name).read_bytes()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_finished_study_is_extended_by_a_larger_n(task_file, tmp_path):
     small, out, whole = tmp_path / "small.toml", tmp_path / "out", tmp_path / "whole"
     small.write_text(task_file.read_text(encoding="utf-8").replace("n = 32", "n = 20"), encoding="utf-8")
@@ -307,7 +307,7 @@ def test_a_request_that_cannot_be_met_is_exit_code_3_and_is_written(task_file, t
     assert MOMENT in found["message"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_run_does_the_cases_and_then_every_task(task_file, tmp_path, capsys, monkeypatch, runs):
     monkeypatch.setattr(rfem_jax.simulation, "run_cases", lambda study, **_: (None, runs))
     done = []
@@ -428,7 +428,6 @@ sys.exit(command_line.main(sys.argv[1:]))
 
 
 @pytest.mark.long
-@pytest.mark.slow
 def test_two_processes_share_the_samples(task_file, tmp_path):
     out, root = tmp_path / "out", Path(__file__).parents[2]
     # Without pictures: these are drawn by one process as by two.

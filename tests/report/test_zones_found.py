@@ -28,7 +28,7 @@ limits = { "D.mean_square_moment" = 9.0 }
 WIDTH = np.radians(0.25)  # at which the tilt about x alone gives a moment of 4, along d_y 1 at 0.25 mm
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_diameter_of_a_zone_is_found_and_shown(answered_by, tmp_path, capsys):
     path, out = answered_by(closed_form.build_problem, TABLES), tmp_path / "out"
     assert main(["allocate", str(path), "--out", str(out)]) == 0

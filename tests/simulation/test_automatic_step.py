@@ -52,7 +52,7 @@ def model():
     return discretise(four_bar(2))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_assemblies_by_their_names(model):
     samples = first_samples(TOLERANCES, KEY)
     stacked = jax.vmap(lambda one: assembly_errors(model, one))(samples)
@@ -92,7 +92,7 @@ def test_the_first_samples_are_those_of_the_study():
             np.testing.assert_array_equal(samples[name], found[:5, i])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_other_samples_are_as_accurate(model):
     tried = first_samples(TOLERANCES, KEY)
     chosen = choose_method(model, Automatic(accuracy=ACCURACY), DRIVE, DURATION, tried)

@@ -107,7 +107,7 @@ def peak(t, phase):
     return 40.0 * jnp.exp(-(((t - 0.0203) / 1e-4) ** 2))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_auto_sees_a_narrow_peak_of_a_function():
     bar = discretise(Mechanism([link("bar", 0.3)], [Joint("A", "base", "bar")], driven_joint="A", gravity=WEIGHTLESS))
     settings = {"duration": 0.05, "save_every": 5e-3}
@@ -143,7 +143,7 @@ INERTIA = 7850.0 * 0.01**2 * 0.3 * (0.3**2 / 3.0 + 0.01**2 / 12.0)
 IMPULSE = 20.0 * INERTIA
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_auto_between_stiff_stops_meets_the_closed_form():
     """Impacts follow from each other, so that errors add up: the fine run is right, and steps are chosen to meet it."""
     stops = JointForceTable("stops", "A", [-0.3, -0.1, 0.1, 0.3], [1e3, 0.0, 0.0, -1e3])

@@ -154,6 +154,7 @@ FEW = ("A.delta_x", "A.child.delta_z", "arm.length")
 FEW_POINT = np.array([6e-3, -4e-3, 2e-4])
 
 
+@pytest.mark.long
 def test_geometrically_exact_elements():
     """Three errors of different kinds, by all three ways, all compiled."""
     model = discretise(arm(3), elements="geometrically_exact")

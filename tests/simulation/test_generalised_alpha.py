@@ -84,7 +84,7 @@ def found(small, soft):
     return jax.tree.map(np.asarray, simulate(Simulation(soft, **settings), assembly_errors(soft, ERRORS)))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_converges_to_runge_kutta_with_order_two(small, soft):
     errors = jax.tree.map(lambda x: x[None], assembly_errors(soft, ERRORS))
     method = GeneralisedAlpha(step=2e-3, corrections=4)
@@ -107,7 +107,7 @@ def test_balances_of_a_run(found):
     assert found.checks.energy_balance_error < 1e-3  # of the kinetic energy of a start-up
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_reactions_do_not_oscillate_from_step_to_step(small):
     """A smooth drive at rest to motion: second differences of a load fall with the square of the step;
     an oscillation from step to step would keep them."""
@@ -174,7 +174,7 @@ def test_the_first_guess_after_a_step_of_another_length(small, length, share):
     np.testing.assert_allclose(guess.accelerations.joints, now + share * (now - before), rtol=1e-14)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_derivatives_do_not_grow_from_step_to_step(bent):
     """Few increments for bent links with errors of their lengths: the error of a derivative must not grow from step to
     step (to 1e37 with the iteration matrix of the perfect links)."""
@@ -186,7 +186,7 @@ def test_derivatives_do_not_grow_from_step_to_step(bent):
     np.testing.assert_allclose(float(derivative(1.0)), difference, rtol=2e-2)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_derivatives_of_a_batch_are_those_of_its_samples():
     """Also where a step's end does not depend on the sample: an open chain without a drive has no drift."""
     pendulum = Mechanism([link("bar", 0.3, 2)], [Joint("A", "base", "bar", angle=0.4)])
@@ -248,7 +248,7 @@ def test_a_mechanism_of_fixed_joints(rfes):
     np.testing.assert_allclose(force[:, 2], weight * np.cos(tilts), rtol=0, atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_auto_takes_the_step_from_the_accuracy(monkeypatch):
     study = load_study(STUDY)
     model = discretise(study.mechanism)
@@ -300,7 +300,7 @@ def test_auto_on_rigid_links_that_errors_keep_from_closing():
     assert STATUS[int(run.status)][0] == "ok"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_rigid_mechanism_has_no_longer_steps_than_were_tried(monkeypatch):
     study = load_study(STUDY)
     links = [replace(link, rigid=True) for link in study.mechanism.links]

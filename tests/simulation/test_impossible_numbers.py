@@ -53,7 +53,7 @@ IMPOSSIBLE = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["bar.length", "A.delta_x", "flat.width", "spring.stiffness"])
 def test_samples_of_a_batch(model, name):
     """They have a status, and their neighbours are what they are alone."""

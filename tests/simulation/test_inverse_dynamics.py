@@ -64,6 +64,7 @@ def exact_moment(angle, rate, acceleration, crank=CRANK, rod=ROD):
     return MASS * (slope * acceleration + curvature * rate**2) * slope
 
 
+@pytest.mark.long
 def test_a_slider_crank_by_virtual_work():
     # The joint turns from z to x: angles of the figure are its negative.
     found = inverse_dynamics(discretise(slider_crank()), {"A": -ANGLES}, {"A": -RATE}, {"A": -ACCELERATION})
@@ -83,7 +84,7 @@ def test_a_slider_crank_by_virtual_work():
     assert_allclose(found.acceleration["A"], -ACCELERATION)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_derivatives_by_errors_in_both_modes():
     """With masses of crank and rod, and nearly without, where virtual work has the derivatives; by one program."""
     names = ("crank.length", "rod.length")
@@ -106,7 +107,7 @@ def test_derivatives_by_errors_in_both_modes():
     assert_allclose(found.forward[1], -np.stack(exact, axis=1), rtol=1e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_four_bar_with_springs_and_an_error_as_in_its_simulation():
     joints = [
         Joint("A", "base", "crank", angle=-0.4), Joint("B", "crank", "coupler", angle=-0.35),
@@ -160,6 +161,7 @@ def test_springs_and_dampers_of_a_held_joint_are_no_part_of_what_holds_it():
     assert_allclose(moved.holding["A"], rest + damping * 3.0 + (0.05 + 2.0 * 0.1**2) * 7.0, rtol=1e-9)
 
 
+@pytest.mark.long
 def test_samples_of_a_given_motion():
     problem = StaticProblem(
         discretise(slider_crank()), ("A.end_drive_moment",), {"A": -1.2}, rates={"A": -RATE}, accelerations={"A": -50.0}
@@ -190,6 +192,7 @@ def test_what_would_swing_is_refused():
         inverse_dynamics(discretise(slider_crank(driven_joint=None, start="equilibrium")), {}, {"A": 1.0})
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("moving", [False, True])
 def test_a_dead_centre_is_refused_where_the_slide_is_held(moving):
     """There the crank may go on either way, and whatever holds the slide is infinite; beside it loads are large."""

@@ -44,12 +44,12 @@ def assert_alike(one, other, accuracy):
         np.testing.assert_allclose(loads, same, rtol=accuracy, atol=accuracy * loads.max())
 
 
-ALWAYS = (guide_that_rubs, exact_arm)
+LONG = (guide_that_rubs, exact_arm)
 
 
 @pytest.mark.parametrize(
     "made",
-    [made if made in ALWAYS else pytest.param(made, marks=pytest.mark.exhaustive) for made in MIXED],
+    [pytest.param(made, marks=pytest.mark.long if made in LONG else pytest.mark.exhaustive) for made in MIXED],
     ids=lambda made: made.__name__,
 )
 def test_mechanisms(made, monkeypatch):
@@ -76,7 +76,9 @@ METHODS = {
 }
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    "method", ["leapfrog", "midpoint", *(pytest.param(one, marks=pytest.mark.long) for one in ("rk4", "dopri5"))]
+)
 def test_methods(method, monkeypatch):
     """Explicit ones: mechanisms above are by the implicit one.  As they have one right-hand side, one method has a loop
     of flexible links."""

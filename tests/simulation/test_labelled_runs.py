@@ -38,6 +38,7 @@ def runs():
     return found
 
 
+@pytest.mark.long
 def test_loads_have_a_joint_axis(runs):
     loads = runs["tilted"].loads
     assert loads.joints == ("A", "G") and loads.force.shape == (3, 2, 3)
@@ -74,7 +75,7 @@ def test_a_dataset_of_all_cases(runs):
     assert lacking == [] and all(found[name].attrs["long_name"] for name in found.data_vars)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_contacts_of_pins(tmp_path):
     method = GeneralisedAlpha(step=1e-4)
     run = simulate(Simulation(hung(SOFT), drive=None, duration=3e-4, method=method, save_every=1e-4))

@@ -59,7 +59,7 @@ def model():
 
 
 class TestWhereItLocks:
-    @pytest.mark.slow
+    @pytest.mark.long
     def test_by_drives_of_all_kinds(self, model):
         """Time and angle are those of the closed form."""
         way = LIMIT - START
@@ -125,7 +125,7 @@ class TestStatus:
         # Before the limit all is well.
         assert int(simulate(Simulation(model, duration=0.9 * time, **settings)).status) == 0
 
-    @pytest.mark.slow
+    @pytest.mark.long
     def test_of_a_batch_and_of_samples(self):
         """Cases of a study with errors; samples of a problem know it, too, by the words for their code."""
         method, cases = RungeKutta4(step=2e-3), [Case("nominal"), Case("shifted", {"D.d_x": 1e-4})]
@@ -142,7 +142,7 @@ class TestStatus:
         )
         assert early.describe_status(3) == "diverged"
 
-    @pytest.mark.slow
+    @pytest.mark.long
     def test_not_of_a_run_that_fails_before(self):
         """Too long a step fails at once: the limit that comes later is not why."""
         model = discretise(locking(3))

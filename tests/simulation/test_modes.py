@@ -66,7 +66,7 @@ def cantilever(rfes=9):
     return weightless(discretise(Mechanism([bar], [Joint("A", "base", "bar")], driven_joint="A")))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_square_cantilever_has_its_frequencies_in_pairs_with_closed_form_derivatives():
     """Slender beam: f = 1.8751^2 / (2 pi L^2) sqrt(EI / rho A), of segments and with shear within a percent; twice,
     along both axes of the square."""

@@ -30,7 +30,7 @@ def solved(motion, end, **settings):
     )  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_diffrax_finds_the_motion_and_loads_of_simulate(simulation):
     run = simulate(simulation, assembly_errors(simulation.model, TILTED))
     motion = equations_of_motion(simulation, assembly_errors(simulation.model, TILTED))
@@ -46,7 +46,7 @@ def test_diffrax_finds_the_motion_and_loads_of_simulate(simulation):
     np.testing.assert_allclose(kept, kept[0], rtol=0, atol=1e-8)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_event_ends_it(simulation):
     motion = equations_of_motion(simulation)
     aim = motion.start.position.joints[0] + 1e-3
@@ -62,7 +62,7 @@ def optx_root_find():
     return optimistix.Newton(1e-10, 1e-10)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_its_derivatives_are_those_of_differences(simulation):
     def end(tilt):
         motion = equations_of_motion(simulation, assembly_errors(simulation.model, {"D.delta_x": tilt}))
@@ -76,7 +76,7 @@ def test_its_derivatives_are_those_of_differences(simulation):
     np.testing.assert_allclose(slope, change, rtol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_field_is_that_of_the_equations_before_and_after_a_jump(simulation):
     motion = equations_of_motion(simulation)
 

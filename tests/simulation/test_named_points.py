@@ -42,6 +42,7 @@ def run():
     return simulated(four_bar("B", "C", "coupler.end", "coupler.start", "rocker.end"), ERRORS)
 
 
+@pytest.mark.long
 def test_centres_of_joints_are_where_they_meet_and_ends_of_links_where_these_end(run):
     times = jnp.asarray(run.times)
     # The bore at the coupler's start lies within it, which makes the coupler shorter between its hinges.
@@ -77,6 +78,7 @@ def problem():
     return simulation, Problem(simulation, ("C@0.2s.x", "coupler.end@0.2s.z", "C.rms_deviation", "rocker.end.x"))
 
 
+@pytest.mark.long
 def test_only_what_metrics_name_is_followed(problem):
     simulation, asking = problem
     assert simulation.model.points is None and set(asking.model.points) == {"C", "coupler.end", "rocker.end"}
@@ -84,7 +86,7 @@ def test_only_what_metrics_name_is_followed(problem):
     assert simulate(simulation).points == {}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_metrics_and_their_derivatives_are_those_of_closed_kinematics(problem):
     _, asking = problem
 
@@ -110,7 +112,7 @@ def _moved(changes):
     return changes[0], GROUND + changes[1]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_designs_move_them(problem):
     simulation, _ = problem
     made = design(simulation.model, {"D.position.x": GROUND + 2e-3, "coupler.length": COUPLER + 1e-3})
@@ -123,6 +125,7 @@ def test_designs_move_them(problem):
     assert_allclose([values["C.x"], values["coupler.end.z"]], exact, rtol=1e-7)
 
 
+@pytest.mark.long
 def test_the_end_of_a_flexible_link_has_its_deformation_in_it():
     errors = {"D.d_y": 2e-3, "coupler.length": 3e-4}
     run = simulated(four_bar("coupler.end", "coupler.start", "B", coupler=4), errors, duration=0.02, step=1e-5)
@@ -132,6 +135,7 @@ def test_the_end_of_a_flexible_link_has_its_deformation_in_it():
     assert_allclose(run.points["coupler.start"].position, run.points["B"].position, atol=1e-14)
 
 
+@pytest.mark.long
 def test_ends_of_a_warm_link_move_apart_at_rest():
     hand = replace(link("hand", 0.3), thermal_expansion=12e-6, temperature=20.0)
     model = discretise(Mechanism([hand], [Joint("A", "base", "hand", angle=0.4)], driven_joint="A"))
@@ -195,6 +199,7 @@ def test_metrics_of_points_that_are_not_there_are_refused(problem, name, words):
         Problem(problem[0], (name,))
 
 
+@pytest.mark.long
 def test_all_points_are_those_that_the_mechanism_names():
     model = discretise(four_bar("B", Point("P", "coupler", 0.1)))
     simulation = Simulation(model, drive=PrescribedRate("A", -RATE), method=RungeKutta4(step=1e-3), duration=0.1)

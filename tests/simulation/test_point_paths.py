@@ -76,6 +76,7 @@ def run():
     )
 
 
+@pytest.mark.long
 def test_a_coupler_curve_has_its_closed_kinematics(run):
     exact, rates, seconds = with_derivatives(exact_coupler, run.times)
     path = run.points["P"]
@@ -176,7 +177,7 @@ def exact_metrics(change):
     }  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_metrics_of_a_path_are_those_of_closed_kinematics(problem):
     change = 4e-4
     values, status = problem({"coupler.length": change})
@@ -186,7 +187,7 @@ def test_metrics_of_a_path_are_those_of_closed_kinematics(problem):
         assert_allclose(values[name], exact, rtol=2e-6, atol=2e-8 if "acceleration" not in name else 1e-4, err_msg=name)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_derivatives_of_position_errors_are_those_of_closed_kinematics(problem):
     names = ["P@-60deg.deviation_x", "P@-60deg.x", "P.rms_deviation", "P.rms_deviation_across"]
     names += ["P.rms_angle_deviation", "P.max_deviation"]
@@ -207,7 +208,7 @@ def test_derivatives_of_position_errors_are_those_of_closed_kinematics(problem):
     assert none[names.index("P.rms_deviation")] == 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_derivatives_of_paths_agree_in_both_modes():
     mechanism = Mechanism(
         [link("arm", 0.3)], [Joint("A", "base", "arm", angle=0.2)], driven_joint="A",
@@ -228,6 +229,7 @@ def test_derivatives_of_paths_agree_in_both_modes():
     check_derivatives(chosen, [4e-4, 3e-3], [1e-5, 1e-5], reverse=1e-7, differences=2e-4, floor=1e-3)
 
 
+@pytest.mark.long
 def test_a_batch_shares_the_perfect_path(problem):
     changes = jnp.array([0.0, 2e-4, 4e-4])
     values, status = jax.vmap(lambda change: problem({"coupler.length": change}))(changes)
@@ -238,7 +240,7 @@ def test_a_batch_shares_the_perfect_path(problem):
         assert_allclose(values[name][2], alone[name], rtol=1e-9, atol=1e-12, err_msg=name)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_deviations_of_parameters_are_errors_and_designs_are_not(problem):
     change = 5e-4
     deviated, _ = problem({"D.position.x": change})
@@ -258,6 +260,7 @@ def test_deviations_of_parameters_are_errors_and_designs_are_not(problem):
     assert_allclose(values["P.x"], moved[0], rtol=1e-8)
 
 
+@pytest.mark.long
 def test_a_drive_that_is_given_passes_an_angle_at_another_time():
     """Under a given moment a heavier link is late: the deviation at a time has the delay in it, at an angle not."""
     mechanism = Mechanism(
@@ -279,6 +282,7 @@ def test_a_drive_that_is_given_passes_an_angle_at_another_time():
     assert abs(slopes["P@30deg.x"]) < 1e-4 * abs(slopes["P@0.3s.x"])
 
 
+@pytest.mark.long
 def test_a_path_of_a_deformed_link_has_its_deformation_in_it():
     mechanism = four_bar(Point("E", "coupler", COUPLER), coupler=4)
     run = simulated(mechanism, {"D.d_y": 2e-3}, duration=0.02, step=1e-5)
@@ -294,7 +298,7 @@ def test_a_mechanism_held_still_has_its_points_where_kinematics_has_them():
     assert_allclose(turn.places["P"][:, [0, 2]], exact[:, :2], atol=1e-8)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_shapes_of_paths_that_are_known():
     """A hinge's end goes round, a slide's along a line, and the slide dwells where the crank turns it."""
     links = [link("crank", 0.1), link("rod", 0.3), link("slide", 0.05)]
@@ -380,7 +384,7 @@ def test_an_instant_that_a_run_does_not_reach_is_no_number(problem):
     assert np.isnan(values["P@0.3s.x"]) and np.isnan(values["P@170deg.x"])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_a_run_does_not_reach_has_no_sensitivity_that_says_ok(problem):
     simulation = Simulation(problem.model, drive=problem.drive, method=problem.method, duration=0.05)
     asked = Problem(simulation, ("P@170deg.x", "P.x"))
@@ -402,6 +406,7 @@ def test_few_saved_places_have_no_straightness():
         assert all(bool(np.isnan(value)) is few for value in values.values())
 
 
+@pytest.mark.long
 def test_repeatability_of_a_hand_that_is_turned_meanwhile():
     """A quarter turn of the second link in a turn of the first one moves its end by the root of 2 of its length."""
     mechanism = Mechanism(

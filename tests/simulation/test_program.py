@@ -54,7 +54,7 @@ def itself(function):
     return function
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("counts", [(3, 9), (17, 65)], ids=["links in one piece", "links in segments"])
 def test_program_does_not_grow_with_the_number_of_rfes(small, counts, monkeypatch):
     # Without its jit, which would return what another test has traced.
@@ -113,7 +113,7 @@ def test_new_numbers_do_not_retrace(small):
     assert not np.allclose(first, second)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_failed_sample_does_not_spoil_its_batch(small):
     model = small.model
 

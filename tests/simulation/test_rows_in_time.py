@@ -84,7 +84,7 @@ def test_steps_between_rows_are_not_more_than_all_others():
     assert shared is not None and shared.most is None
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "method",
     [
@@ -119,7 +119,7 @@ def test_an_uneven_pulse_gives_its_impulse(bar, jump):
     np.testing.assert_allclose(run.motion.rate[-1], wanted, rtol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_moment_at_a_point_and_a_prescribed_motion():
     """Tables of forces and of prescribed motions are seen as well: a bump that is over within a step."""
     joint = Joint("A", "base", "bar")

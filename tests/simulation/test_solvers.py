@@ -75,7 +75,7 @@ def test_loop_over_steps_is_diffrax_s_own_loop(small, name):
     assert np.all(np.asarray(solution[1][-1]) <= np.asarray(carry.peaks) * (1 + 1e-6))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_failure_of_newton_s_method_is_the_result_of_diffeqsolve(small):
     """One Newton increment is not enough for a long step whose iteration matrix has links far too soft."""
     method = GeneralisedAlpha(step=5e-3, corrections=1)

@@ -46,7 +46,7 @@ def simulation(model):
     return Simulation(model, drive=MomentRamp("A", 1.5, 0.01), duration=0.01, method=METHOD, save_every=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_method_is_chosen_where_none_is_given(model):
     drive = MomentRamp("A", 1.5, 0.01)
     automatic = Simulation(model, drive=drive, duration=0.05)
@@ -58,7 +58,7 @@ def test_the_method_is_chosen_where_none_is_given(model):
     assert given.method == given.chosen == METHOD
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_method_is_chosen_anew_for_another_drive_or_design(model):
     """A step that was chosen for slow motion is too long for a fast one."""
     slow = Simulation(model, drive=MomentRamp("A", 1.5, 0.01), duration=0.02)
@@ -103,7 +103,7 @@ def test_the_simulation_of_a_study(tmp_path):
     assert Simulation.of(study, model=model, method=METHOD).model is model
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_numbers_of_the_drive_and_of_the_design_are_traced(model, simulation):
     def force(numbers):
         height, peak = numbers
@@ -207,6 +207,7 @@ def test_a_batch_of_errors_is_mapped_over(model, simulation):
         simulate(simulation, batch)
 
 
+@pytest.mark.long
 def test_calls_of_the_version_before_work_and_warn(model, simulation):
     settings = {"duration": 0.01, "method": METHOD, "save_every": 1e-3}
     drive, errors = simulation.drive, assembly_errors(model, {"D.delta_x": 1e-3})
@@ -232,7 +233,7 @@ def test_calls_of_the_version_before_work_and_warn(model, simulation):
     assert values == Problem(simulation, "A.rms_force")({"D.delta_x": 1e-3})[0]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_cycles_of_the_version_before_work_and_warn(model):
     drive = PrescribedRate("A", 60.0)
     cycling = Simulation(model, drive=drive, method=METHOD, save_every=0.01)

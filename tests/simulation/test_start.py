@@ -98,7 +98,7 @@ class TestWithoutADrive:
         other = simulate(Simulation(driven, drive=MomentTable("A", [0.0, 1.0], [0.0, 0.0]), **settings))
         np.testing.assert_allclose(run.motion.angles["D"], other.motion.angles["D"], rtol=0, atol=1e-12)
 
-    @pytest.mark.slow
+    @pytest.mark.long
     def test_an_equilibrium_is_there_for_who_asks(self):
         model = discretise(falling())
         run = simulate(Simulation(model, drive=None, duration=0.01, method=RungeKutta4(step=5e-3), start="equilibrium"))
@@ -110,7 +110,7 @@ class TestWithoutADrive:
         back = simulate(Simulation(same, drive=None, duration=0.01, method=RungeKutta4(step=5e-3), start="as_given"))
         np.testing.assert_allclose(back.motion.angles["A"][0], -np.pi / 2, rtol=0, atol=1e-14)
 
-    @pytest.mark.slow
+    @pytest.mark.long
     def test_a_flexible_bar_sags_and_is_let_go(self):
         """Its preload is a cantilever's, moment of the hold included; loads of the first instant are of the bar that
         falls: no moment about the hinge, a quarter of the weight at a rigid one."""
@@ -292,7 +292,7 @@ class TestRates:
         inertia = 7850.0 * 1e-4 * 0.5**3 / 3.0
         assert float(run.energy.kinetic[0]) == pytest.approx(0.5 * inertia * (2.0 * np.pi) ** 2, rel=1e-2)
 
-    @pytest.mark.slow
+    @pytest.mark.long
     def test_lists_and_slides(self):
         body = Link("ball", 0.2, body=RigidBody(0.5, (0, 0, 0), (1e-3, 1e-3, 1e-3)))
         rates = ["1 m/s", 0, "2 m/s", "60 rpm", 0, 1.0]
@@ -349,7 +349,7 @@ class TestWhyNot:
     def status(self, model, errors=None, **more):
         return STATUS[int(assemble(model, assembly_errors(model, errors or {}), **more).status)]
 
-    @pytest.mark.slow
+    @pytest.mark.long
     def test_a_loop_in_which_nothing_gives(self):
         loop = four_bar(None, redundant_reactions="minimum_norm")
         for error in ("D.delta_x", "D.d_y", "B.child.delta_z"):
@@ -460,7 +460,7 @@ class TestStudyFiles:
         path.write_text(text, encoding="utf-8")
         return load_study(path)
 
-    @pytest.mark.slow
+    @pytest.mark.long
     def test_runs_say_what_their_start_held(self, tmp_path):
         wanted = {
             "as_given": ((), np.radians(30.0), ["A"]),

@@ -77,7 +77,7 @@ def test_a_simply_supported_beam_carries_half_its_load_at_each_end():
     assert -float(found.points["P"].position[0, 2]) == pytest.approx(deflection, rel=4.0 * SHEAR)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_misfit_preloads_a_propped_cantilever():
     # The support is to be higher by the misfit: the beam is bent up by a force at its tip.
     model = discretise(beam("fixed", "revolute"))
@@ -120,6 +120,7 @@ def four_bar_energy(angle):
     return 9.81 * line * sum(centres)
 
 
+@pytest.mark.long
 def test_a_four_bar_under_its_weight_is_held_by_virtual_work():
     model = discretise(four_bar(None, redundant_reactions="minimum_norm"))
     angles = np.array([-np.pi / 2, -0.5, 0.9])

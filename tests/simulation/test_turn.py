@@ -152,6 +152,7 @@ def test_contacts_of_a_turn_are_those_of_assemblies_and_loads_have_derivatives_b
     np.testing.assert_allclose(deeper, difference, rtol=1e-5)
 
 
+@pytest.mark.long
 def test_a_turn_with_a_table_of_a_coupling_within_a_jit_of_the_users():
     model, positions = discretise(cam()), np.array([0.0, 0.3])
 

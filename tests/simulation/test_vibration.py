@@ -142,7 +142,7 @@ def test_stiffest_mode_alone_finds_the_same_limit(models, held, monkeypatch):
         assert (1.0 - tolerance) * expected <= got <= 1.002 * expected
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_memory_is_linear_in_the_rfes():
     peaks = []
     for rfes in (100, 200):
@@ -171,7 +171,7 @@ def test_overdamped_modes_keep_their_slow_root():
     np.testing.assert_allclose(np.sort(modes.eigenvalues().real), [-1e9, -1e-9], rtol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_rigid_chain_by_an_implicit_method():
     """No free rfe at all; the angle after a short fall by two methods."""
     mechanism = Mechanism(

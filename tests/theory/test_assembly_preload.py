@@ -148,7 +148,7 @@ def computed():
     return {m: preload_per_unit_error(m, (*ERRORS, *IN_PLANE)) for m in (4, 8)}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("m", [4, 8])
 def test_preload_is_the_unit_load_method_with_a_point_an_element(computed, m):
     for name, found in zip(ERRORS, computed[m]):

@@ -39,6 +39,7 @@ def held_at(name, x, kind="revolute"):
     return Joint(name, "base", "beam", kind=kind, position=(x, 0, 0), child_position=(x, 0, 0), cut=True)
 
 
+@pytest.mark.long
 def test_a_bow_that_is_given_as_a_camber_is_that_bow():
     """Places, masses, stiffnesses and frames of joints, all but for the spline's error; with another bow beside it."""
     b, places = np.array([3e-3, -2e-3]), LENGTH * np.arange(1, 20) / 20.0
@@ -70,6 +71,7 @@ def cubic(x):
 POINTS = [CamberPoint(x, z=1e-3 * cubic(x)) for x in (0.1, 0.15, 0.3)]
 
 
+@pytest.mark.long
 def test_preload_of_a_link_of_a_measured_shape():
     """A spline is exact for a cubic shape w; too long by delta and held at both ends the link carries
     delta / (L/EA + int w^2 ds / EI), with N w(x) at every section."""
@@ -90,6 +92,7 @@ def test_preload_of_a_link_of_a_measured_shape():
     np.testing.assert_allclose(np.abs(of_sections[4]), bending, rtol=3e-3, atol=1e-6 * force)
 
 
+@pytest.mark.long
 def test_a_joint_on_a_measured_link_is_displaced_and_loads_it():
     """A support in the middle of a beam on two others: 48 E I w / L^3, by the three-moment equation; by its derivative
     by the offset there the same, in both modes."""
@@ -109,6 +112,7 @@ def test_a_joint_on_a_measured_link_is_displaced_and_loads_it():
 NAMES = [f"beam.camber.{n}.{axis}" for n in (1, 2, 3) for axis in "xyz"]
 
 
+@pytest.mark.long
 def test_derivatives_by_all_numbers_of_a_camber():
     mass = PointMass(0.1, (0.25, 0.0, 0.01))
     points = [point.with_fields(y=y) for point, y in zip(POINTS, (1e-3, -2e-3, 1.5e-3), strict=True)]

@@ -80,7 +80,7 @@ def loaded(request):
     return m, {name: jax.tree.map(lambda x: np.asarray(x)[i], results) for i, name in enumerate(cases)}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_axial_load_stretches_by_FL_over_EA(loaded):
     m, results = loaded
     u, phi = tip_of(results["axial"].state.position.elastic, LENGTH, m)

@@ -35,7 +35,7 @@ from rfem_jax.validation.rigid_links import body
 
 
 class TestSingleImpact:
-    @pytest.mark.slow
+    @pytest.mark.long
     @pytest.mark.parametrize(("steps", "status"), [(12, "contact_not_resolved"), (28, "ok")])
     def test_an_impact_that_the_steps_do_not_follow_is_named_and_spoils_no_other(self, steps, status):
         """Steps of half a contact lose a tenth of the speed, those of a fifth less than a hundredth; a slower pin has
@@ -57,7 +57,7 @@ class TestSingleImpact:
         assert (away < 0.01, float(balances[0]) < 0.03) == (status == "ok",) * 2
         np.testing.assert_allclose(kinetic[1], 0.5 * MASS * 0.2**2, rtol=1e-8)  # the weak spring centres the pin
 
-    @pytest.mark.slow
+    @pytest.mark.long
     def test_steps_that_follow_contact_resolve_an_impact_within_one_of_them(self):
         """Any step gives the rebound; of a batch one sample hits, one hits later, one touches nothing."""
         model, duration = guided(restitution=0.9), 8.2e-4
@@ -135,7 +135,7 @@ class TestSingleImpact:
         alone = [float(jax.jit(of_speed)(speed)[1]) for speed in speeds[1:]]
         np.testing.assert_allclose(kinetic[1:], alone, rtol=1e-6)
 
-    @pytest.mark.slow
+    @pytest.mark.long
     def test_smaller_contact_tolerances_are_more_accurate(self):
         model, duration = guided(restitution=0.9), 8.2e-4
 

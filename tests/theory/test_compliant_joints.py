@@ -143,7 +143,7 @@ class TestFourBarOnBushings:
         at = np.array([*TILTED.values(), 2e3, 2e7])
         check_derivatives(loads, at, 1e-4 * at, reverse=1e-8, differences=1e-5)
 
-    @pytest.mark.slow
+    @pytest.mark.long
     def test_in_motion(self, bushed):
         method = RungeKutta4(step=1e-5)
         assert largest_stable_step(bushed, method) > 4e-5
@@ -162,7 +162,7 @@ class TestFourBarOnBushings:
         for part in (run.checks.energy_balance_error, run.checks.momentum_balance_error, run.checks.hinge_moment_error):
             assert float(part) < 1e-7
 
-    @pytest.mark.slow
+    @pytest.mark.long
     def test_bearings_a_hundred_times_as_stiff_in_long_steps(self, bushed):
         """The largest stable step of an explicit method is 5e-6 s; four Newton increments a step are enough."""
         model = stiffer(bushed, 100.0)
@@ -177,7 +177,7 @@ class TestFourBarOnBushings:
         np.testing.assert_allclose(np.hypot(*across), 0.3, rtol=0, atol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("elements", ["linear", "geometrically_exact"])
 def test_stiff_bearings_approach_ideal_ones_where_a_link_is_flexible(elements):
     """The difference is of first order in the compliance."""
@@ -285,7 +285,7 @@ class TestSprings:
         np.testing.assert_allclose(values, np.sort(np.sqrt(squares)), rtol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_tilt_is_smooth_at_zero_and_depends_on_the_angle_alone():
     spring = compliant_spring(SprungDirection("tilt", ("R_x", "R_z"), 3.0, 0.0), (0, 1), (0, 1), ())
     zero = jnp.zeros(2)

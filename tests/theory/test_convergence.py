@@ -78,7 +78,7 @@ def quantities(run):
     }
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_halving_the_step_divides_the_error_by_two_to_the_order(runs):
     order, (coarse, middle, fine) = (runs[0], map(quantities, runs[1]))
     for name in coarse:

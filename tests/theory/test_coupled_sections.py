@@ -113,6 +113,7 @@ def laminate(coupling=60.0, **more):
     return CompositeSection(stiffness.tolist(), 0.8, 2e-4, 1e-4, 1.2e-4, name="laminate", **more)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("elements", ["linear", "geometrically_exact"])
 def test_a_laminate_twists_as_it_bends(elements):
     torsion, bending, coupling = 150.0, 400.0, 60.0
@@ -192,6 +193,7 @@ def test_an_angle_in_motion_has_loads_across_the_plane(section, across):
     assert discretise(Mechanism(links, joints, driven_joint="A")).topology.across == across
 
 
+@pytest.mark.long
 def test_derivatives_by_sizes_and_stiffnesses():
     """Of two cantilevers at once: sizes of an angle, and a coupling of a laminate."""
     links = [Link("beam", LENGTH, ANGLE, STEEL, rfes=2), Link("spar", LENGTH, laminate(), rfes=2)]

@@ -122,6 +122,7 @@ class TestGearPair:
         np.testing.assert_allclose(run.motion.angles["A"][-1], angle, rtol=1e-3)
         np.testing.assert_allclose(run.motion.angles["B"][-1], RATIO * angle, rtol=1e-3)
 
+    @pytest.mark.long
     @pytest.mark.parametrize("method", [RungeKutta4(step=2e-4), GeneralisedAlpha(step=2e-4)], ids=["rk4", "implicit"])
     def test_derivatives(self, method):
         drive = MomentTable("A", times=[0.0, 1.0], moments=[MOMENT, MOMENT])
@@ -211,6 +212,7 @@ class TestCam:
 class TestStatics:
     """Positions and loads at rest."""
 
+    @pytest.mark.long
     def test_a_screw_jack(self):
         """The moment that holds the screw is the load times the lead over a turn; the mesh gives."""
         lead, stiffness = 5e-3 / (2.0 * np.pi), 2e6
@@ -278,6 +280,7 @@ class TestStatics:
 class TestLoop:
     """A geared five-bar: two cranks whose mesh takes the freedom that the loop leaves."""
 
+    @pytest.mark.long
     @pytest.mark.parametrize("method", [RungeKutta4(step=2e-5), GeneralisedAlpha(step=5e-4)], ids=["rk4", "implicit"])
     def test_positions_and_balances(self, method):
         mechanism = geared_five_bar(stiffness=3e4, damping=1.0)

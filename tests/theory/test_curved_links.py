@@ -265,6 +265,7 @@ def hinged(rfes, form_errors=True, **more):
     return straight(rfes, form_errors, [Joint("B", "base", "beam", position=(LENGTH, 0, 0), cut=True)], **more)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("elements", ["linear", "geometrically_exact"])
 def test_preload_of_a_bowed_link_between_hinges(elements):
     """It is too long by delta, and softer by its bow b: in the plane N = delta / (L / EA + b^2 L / (2 E I_y)) with N b
@@ -291,6 +292,7 @@ def test_preload_of_a_bowed_link_between_hinges(elements):
             assert abs(middle[5]) == pytest.approx(force * b * (1.0 - 2.0 / np.pi), rel=0.03)
 
 
+@pytest.mark.long
 def test_derivatives_at_no_bow_in_both_modes():
     """The moment in the middle grows with the bow by the force, which does not."""
     model, delta = hinged(4), 1e-8

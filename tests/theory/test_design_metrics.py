@@ -142,7 +142,7 @@ def test_derivatives_by_the_section_of_a_design_are_those_of_the_closed_forms_in
     np.testing.assert_allclose(forward.T, slopes, rtol=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_derivatives_are_finite_without_load():
     problem = problem_of(cantilever(force=0.0, torque=0.0))
 

@@ -62,6 +62,7 @@ def diagrams(model):
 
 
 class TestCantilever:
+    @pytest.mark.long
     @pytest.mark.parametrize("load, end_load, factor", [(1.0, None, 8.0), (1.0, 0.0, 30.0), (0.0, 1.0, 120.0 / 11.0)])
     def test_deflection_converges_with_the_square_of_the_rfes(self, load, end_load, factor):
         """To q L^4 / (8 E I) of a uniform load, and to that of triangular ones."""
@@ -107,6 +108,7 @@ class TestCantilever:
         np.testing.assert_allclose(at_clamp.force, [0, -2 * force, force], rtol=0, atol=1e-5 * LOAD)
         np.testing.assert_allclose(at_clamp.moment, [0, -moment, -2 * moment], rtol=0, atol=1e-5 * LOAD)
 
+    @pytest.mark.long
     def test_a_follower_in_large_deflections_is_the_sum_of_forces_at_points(self):
         """Two forces at the points of Gauss of each rfe do the same work as a linear load, also where the rfes turn."""
         first, last, elements = np.array([0.3, 0.0, -2.0]), np.array([0.0, 0.5, -4.0]), 4
@@ -126,6 +128,7 @@ class TestCantilever:
         np.testing.assert_allclose(along.state.position.elastic, at_points.state.position.elastic, rtol=0, atol=1e-9)
         np.testing.assert_allclose(along.preload["A"].moment, at_points.preload["A"].moment, rtol=0, atol=1e-8)
 
+    @pytest.mark.long
     def test_designs_and_derivatives(self):
         """By all numbers of a load, in both modes: places within rfes, where the derivative is that of the closed form
         of the reaction."""
@@ -219,7 +222,7 @@ def across(run):
     return np.array([-np.sin(angle), 0.0, -np.cos(angle)])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("method", [RungeKutta4(step=1e-5), GeneralisedAlpha(step=1e-3)], ids=lambda one: one.name)
 def test_the_weight_of_links_as_a_load_along_them(method):
     """A load of m g per length is gravity: the same motion and loads, and its work is what gravity's energy loses."""

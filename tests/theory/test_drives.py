@@ -122,7 +122,7 @@ class TestSliderCrank:
     def speed(self, times):
         return np.asarray(jax.vmap(jax.grad(slide))(self.START + RATE * jnp.asarray(times))) * RATE
 
-    @pytest.mark.slow
+    @pytest.mark.long
     def test_the_slider_drives_the_crank(self, by_crank):
         """The slider moves as the crank at a constant rate makes it move, from its start rate on."""
         model = slider_crank("G", self.START)
@@ -254,7 +254,7 @@ class TestArm:
         assert float(run.checks.energy_balance_error) < (1e-7 if method is EXPLICIT else 1e-4)
         assert float(run.checks.momentum_balance_error) < 1e-9
 
-    @pytest.mark.slow
+    @pytest.mark.long
     def test_derivatives_by_numbers_of_both_drives(self):
         """The rate of one drive and the force of the other, whose rise ends within the run."""
 
@@ -270,7 +270,7 @@ class TestArm:
         at = jnp.asarray([3.0, 20.0])
         check_derivatives(end, at, 1e-4 * at, reverse=1e-8, differences=1e-6)
 
-    @pytest.mark.slow
+    @pytest.mark.long
     def test_auto_and_the_largest_step(self):
         drives = [ROTATION, PUSH]
         assert check_step(Arm.model(), EXPLICIT, drives) > EXPLICIT.step

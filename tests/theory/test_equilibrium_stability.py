@@ -178,6 +178,7 @@ def test_a_pendulum_on_its_head_is_unstable():
     assert "by a factor of e within 0.261 s, mostly in joint A" in str(run)
 
 
+@pytest.mark.long
 def test_a_spring_holds_a_pendulum_on_its_head_if_it_is_stiff_enough():
     """Stiffness against half the weight times the length; also where a force that turns with the bar makes the
     equations unsymmetrical, which has no moment about the hinge."""

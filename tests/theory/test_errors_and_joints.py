@@ -87,7 +87,7 @@ def flexibility(of, at):
     return np.sum((of - shared) * (at - shared) / EI + 1.0 / GA) * LENGTH / SEGMENTS
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_hinge_between_the_ends_loads_its_own_rfe():
     """A mass hangs from the beam: vertically, so it loads it with its weight."""
     mass, g = 2.0, LOAD / 2.0

@@ -164,7 +164,7 @@ class TestInclinedGuide:
 
     SLOPE, MASS, START, COEFFICIENT, LENGTH = np.radians(20.0), 0.5, 0.3, 0.15, 0.04
 
-    @pytest.mark.slow
+    @pytest.mark.long
     @in_tree_or_cut
     def test_acceleration(self, cut):
         method = GeneralisedAlpha(step=5e-3, tolerance=1e-10, corrections=12)
@@ -264,7 +264,7 @@ class TestFromRest:
         along = 0.5 * (self.PUSH - friction) / self.MASS * 0.05**2
         np.testing.assert_allclose(path[2] - path[1], along, rtol=1e-3)
 
-    @pytest.mark.slow
+    @pytest.mark.long
     def test_derivatives(self):
         """Of the path by the coefficient, sliding and bound: one batch."""
         offsets = 0.19, 0.21
@@ -341,7 +341,7 @@ class TestPendulum:
 
         return run
 
-    @pytest.mark.slow
+    @pytest.mark.long
     def test_motion_energy_and_derivatives(self):
         end, at = self.made(), jnp.asarray(self.NUMBERS)
         along = at * jnp.array([1.0, -0.5, 0.7, 0.3])
@@ -443,7 +443,7 @@ class TestRigidFourBar:
             check_step(model, RungeKutta4(step=1e-4))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_flexible_four_bar_with_errors():
     """Hinges under the loads of a misaligned seat; exact elements, preload without friction."""
     radii = zip("ABCD", (0.008, 0.006, 0.006, 0.008), strict=True)

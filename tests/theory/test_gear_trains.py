@@ -37,7 +37,7 @@ def potential(first, second):
     return LINE * (0.5 * CRANK * pins + 0.5 * ROD * (pins + 2.0 * point(first, second)[1]))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_geared_five_bar():
     """P by both cranks' angles, the mesh's moment and what holds the left crank by virtual work, over a revolution:
     loops alone would let the right crank stand anywhere."""

@@ -86,6 +86,7 @@ class TestGearPair:
         run = simulate(Simulation(model, drive=None, duration=0.1, method=method, save_every=0.1))
         np.testing.assert_allclose(run.motion.angles["A"][-1], 0.2 / RATIO, rtol=1e-9)
 
+    @pytest.mark.long
     @pytest.mark.parametrize("method", [RungeKutta4(step=1e-3), GeneralisedAlpha(step=1e-3)], ids=["rk4", "implicit"])
     def test_errors_and_derivatives(self, method):
         """The second rotor follows pitch error, eccentricity and ratio; the load, their derivatives."""
@@ -187,6 +188,7 @@ def planetary(force):
     return discretise(Mechanism(links, joints, gravity=NO_GRAVITY, driven_joint="C", forces=forces))
 
 
+@pytest.mark.long
 def test_a_planetary_train():
     """Willis' ratio, and the moments of sun, ring and carrier in the ratios of their teeth."""
     (sun, planet, ring), load = TEETH, 2.0
@@ -232,6 +234,7 @@ class TestGearedFiveBar:
         moment = (potential(TURN + step) - potential(TURN - step)) / (2.0 * step)
         np.testing.assert_allclose(found.couplings["mesh"].loads[0, 1], moment, rtol=1e-6)
 
+    @pytest.mark.long
     @pytest.mark.parametrize("rfes, method", [(None, RungeKutta4(step=2e-5)), (3, GeneralisedAlpha(step=5e-4))])
     def test_positions_and_balances(self, rfes, method):
         model = discretise(geared_five_bar(rfes))
@@ -272,6 +275,7 @@ class TestGearedFiveBar:
         # The rod's end moves by 0.01 times some 50 mm, the gears are apart by 0.01 times the scale.
         np.testing.assert_allclose(cut_drift(closed, scale)[0], 0.01 * scale, rtol=1e-9)
 
+    @pytest.mark.long
     def test_derivatives_of_the_load(self):
         model = discretise(geared_five_bar())
         simulation = Simulation(model, drive=PrescribedRate("A", 5.0, 0.05), duration=0.02,
@@ -283,6 +287,7 @@ class TestGearedFiveBar:
 
         check_derivatives(load, jnp.asarray([1.0, ROD]), 3e-4, reverse=1e-8, differences=1e-4)
 
+    @pytest.mark.long
     @pytest.mark.parametrize("mesh", [{}, {"stiffness": 3e4, "damping": 1.0}], ids=["ideal", "elastic"])
     def test_its_cycle_closes_though_the_second_crank_has_turned(self, mesh):
         drive, method = PrescribedRate("A", 5.0), GeneralisedAlpha(step=2e-3)
@@ -292,6 +297,7 @@ class TestGearedFiveBar:
         np.testing.assert_allclose(loads[-1], loads[0], rtol=1e-5)
 
 
+@pytest.mark.long
 def test_a_coupling_within_a_loop_makes_a_structure_of_it():
     """Of a four-bar whose rocker is geared to its crank nothing is left to move, and a second gear has no say."""
     model = discretise(dataclasses.replace(geared_five_bar(), driven_joint=None))

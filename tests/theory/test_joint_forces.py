@@ -104,7 +104,7 @@ class TestOscillator:
         assert int(run.status) == 0
         np.testing.assert_allclose(run.motion.displacements["G"], START, rtol=0, atol=2 * 50.0 / 1e8)
 
-    @pytest.mark.slow
+    @pytest.mark.long
     def test_derivatives_with_respect_to_all_numbers(self):
         model = slider(SPRING)
 
@@ -173,7 +173,7 @@ class TestLaws:
         np.testing.assert_allclose(jax.jit(jax.grad(end))(900.0), jax.jit(jax.grad(reference))(900.0), rtol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("elements", ["linear", "geometrically_exact"])
 def test_a_spring_in_a_loop_at_rest(elements):
     """The moment that holds the crank is the derivative of the potential of links and spring along the mechanism."""

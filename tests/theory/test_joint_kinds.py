@@ -107,7 +107,7 @@ class TestChain:
         GeneralisedAlpha(step=5e-5, tolerance=1e-10),
     )
 
-    @pytest.mark.slow
+    @pytest.mark.long
     def test_every_method_follows_the_same_motion(self):
         kinds = ("universal", "planar", "fixed", "spherical")
         links = [link(kind, 0.1 + 0.02 * n) for n, kind in enumerate(kinds)]
@@ -209,7 +209,7 @@ class TestPlanarAndFixed:
         counted = np.abs(expected).max(axis=0) > 1e-6
         assert [name for name, one in zip(names, counted) if not one] == ["F.d_x", "F.d_y", "F.d_z"]
 
-    @pytest.mark.slow
+    @pytest.mark.long
     def test_preload_of_loops_that_they_cut(self):
         loop = loop_cut_by("planar")
         joints = [
@@ -265,7 +265,7 @@ class TestTwoSphericalJoints:
         structure = describe(discretise(spatial_linkages.rssr()))
         assert structure.idle == ("coupler",) and structure.mobility == 2
 
-    @pytest.mark.slow
+    @pytest.mark.long
     @pytest.mark.parametrize("elements", ["linear", "geometrically_exact"])
     def test_statics_holds_the_idle_freedom_of_a_flexible_coupler(self, elements):
         mechanism = spatial_linkages.rssr(flexible_coupler(rfes=2))
@@ -299,7 +299,7 @@ class TestGuideErrors:
         # The guide is free along its own, tilted axis.
         assert abs(float(assembled.preload["G"].force[0])) < 1e-9
 
-    @pytest.mark.slow
+    @pytest.mark.long
     def test_derivative_of_the_preload(self, model):
         def preload(value):
             errors = assembly_errors(model, {**slider_cranks.ERRORS, "G.delta_y": value})

@@ -100,7 +100,7 @@ ELASTICA = np.stack(
 )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_elastica_is_met_with_second_order():
     forces = np.outer(ELASTICA[:, 0], [0.0, 0.0, -1.0])
     values = pair(*SLENDER, forces)
@@ -122,6 +122,7 @@ def section_of_rectangle(young, poisson, height, width, shear, torsion):
     return (young * area, effective, effective, twist, young * about_y, young * about_z)
 
 
+@pytest.mark.long
 def test_thick_cantilever():
     """Both loads: 62.5 kN (sag FL^3/3EI + FL/k_s GA) and a thousand times as much, which the bar on edge carries in the
     plane only: from 4.013 sqrt(EI_z GJ) / L^2 on, 27 MN here, it tips over sideways."""
@@ -200,7 +201,7 @@ def test_derivative_of_a_large_deflection():
 SOFT = (1.0, (1e4, 1e4, 1e4, 1.0, 1.0, 1.0))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_linear_and_exact_agree_for_small_loads():
     """The sag differs with the cube of the load, the shortening (none in the linear form) with its
     square."""

@@ -62,7 +62,7 @@ def test_the_largest_loads_of_a_clamp_are_those_at_the_top_of_a_pulse(clamp):
     assert float(values["W.peak_force"]) < 0.85 * force and float(values["W.peak_moment"]) < 0.85 * moment
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_derivatives_of_a_maximum_are_those_of_its_instant(clamp):
     """A longer bar of the same section is heavier, and its weight reaches farther; the pulse stays where it is."""
 

@@ -106,7 +106,7 @@ def test_no_error():
     assert bent(at_tip(0.0, 0.0, 1.0), elements="geometrically_exact")[1] == 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_runs_say_so():
     """Of a batch, too; a run within 2 % has no remark."""
     model = cantilever(at_tip(0.0, 0.0, 0.6))
@@ -126,7 +126,7 @@ def test_runs_say_so():
     assert remarks_on(near) == () and "remark" not in near.summary()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_samples_are_counted():
     """Of a Monte Carlo study over the length of a cantilever, beside the metric that is asked for."""
     model = cantilever(at_tip(0.0, 0.0, 0.3))

@@ -49,6 +49,7 @@ def straightness(place):
     return 2.0 * np.abs(np.linalg.svd(centred)[0][:, 1] @ centred).max()
 
 
+@pytest.mark.long
 def test_hoeckens_line():
     """The point, the pin and the second hinge are on a circle about the rocker's end: a right angle is at the hinge."""
     ground, coupler = 2.0, 2.5
@@ -70,7 +71,7 @@ def test_hoeckens_line():
     assert 3.9 < np.ptp(wanted[0]) < 4.1 and straightness(wanted) == pytest.approx(9.94e-3, abs=2e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_hoeckens_lines_of_a_textbook():
     """Strokes, speeds and errors of eighteen linkages to the last digit that is printed."""
     lines = straight_lines.validate(False, lambda share: None).lines
@@ -192,7 +193,7 @@ def scissor_lift(angle):
     return Mechanism(links, joints, driven_joint="G", forces=top)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_scissor_lift_is_held_by_its_closed_form():
     """Horizontal force on the slide, by virtual work: (n W + n^2 w) / tan(angle), with the weight w of an arm."""
     angles = np.radians([50.0, 35.0, 20.0])

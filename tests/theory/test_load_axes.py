@@ -57,7 +57,7 @@ def test_labelled_data_have_the_axes_that_are_asked_for(swung):
         jax.tree.map(lambda x: x, swung.__class__(**{**vars(swung), "model": None})).loads_in("global")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_loads_of_a_free_body_add_up_in_global_axes_and_turn_with_the_links():
     mechanism, bodies = shaken()
     run = jax.tree.map(np.asarray, simulate(simulation_of(mechanism)))
@@ -102,7 +102,7 @@ def test_axes_of_a_flexible_link_are_those_of_its_rfe_at_the_joint():
     assert np.linalg.norm(turned["start"] - turned["end"]) > 1e3 * scale  # the coupler is bent
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_batch_and_derivatives():
     simulation = simulation_of(arm(), duration=0.04)
 

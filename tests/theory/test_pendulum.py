@@ -244,7 +244,7 @@ def lagrange(length_1, distance):
     return motion, accelerations
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name, length_1", [("planar", LENGTH_1), ("longer", LENGTH_1 + STRETCH)])
 def test_planar_double_pendulum_by_lagrange(double, name, length_1):
     run = double(name)
@@ -335,6 +335,7 @@ SPATIAL_CASES = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", SPATIAL_CASES)
 def test_spatial_double_pendulum_by_newton_euler(double, name):
     run, (seat, bore) = double(name), SPATIAL_CASES[name]

@@ -159,7 +159,7 @@ class Hardening(eqx.Module):
         return self.stiffness * (length - FREE) ** 3 + DAMPING * rate
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_equilibrium_on_a_function_and_its_derivatives():
     """x = FREE - AWAY + (pull / stiffness)^(1/3), by both numbers and in both modes."""
     pull, stiffness = 3.0, 400.0
@@ -202,7 +202,7 @@ class TestTime:
         np.testing.assert_allclose(load.force[just_behind, 1], -across, rtol=1e-9)
         np.testing.assert_allclose(load.moment[just_behind], [0.01 * across, 0.01, -0.02 * across], rtol=1e-7)
 
-    @pytest.mark.slow
+    @pytest.mark.long
     def test_derivatives_with_respect_to_all_numbers(self):
         model = sliders(SPRING, RAMP)
 
@@ -269,7 +269,7 @@ def polygon(force, moment):
 
 
 class TestCantilever:
-    @pytest.mark.slow
+    @pytest.mark.long
     def test_follower_force_and_moment_on_exact_elements(self):
         """Both ways of derivatives, of an unsymmetric tangent; and the elastica's end moment, which bends every
         spring alike."""
@@ -292,7 +292,7 @@ class TestCantilever:
         derivative = jax.jacfwd(lambda load: polygon(load[0], load[1])[0])(jnp.asarray(loads_[2]))
         np.testing.assert_allclose(forward, derivative, rtol=1e-5)
 
-    @pytest.mark.slow
+    @pytest.mark.long
     def test_end_force_and_moment_on_linear_elements(self):
         forces = [PointForce("tip", "beam", LENGTH, (0, 0, 1)), PointMoment("twist", "beam", LENGTH, (0, 1, 0))]
         model = clamped("linear", *forces)

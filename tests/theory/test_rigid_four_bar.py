@@ -46,7 +46,7 @@ def wrapped(angle):
     return np.angle(np.exp(1j * np.asarray(angle)))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_motion_follows_lagranges_equation(released, exact_motion, exact_four_bar):
     cut, run = released
     (crank, rate), _ = exact_motion
@@ -102,7 +102,7 @@ def test_static_start_holds_the_crank(released, exact_four_bar, four_bar_loads):
     np.testing.assert_allclose(run.preload["A"].moment, [0.0, moment, 0.0], atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("rise_time", [0.0, RISE_TIME])
 def test_prescribed_crank(four_bar, exact_four_bar, four_bar_loads, rise_time):
     """The angle is what was asked for, the drive's moment what Newton and Euler need for it."""
@@ -160,7 +160,6 @@ def _resultants(loads):
 
 
 @pytest.mark.long
-@pytest.mark.slow
 def test_flexible_loop_with_errors_moves_the_same_wherever_it_is_cut(four_bar):
     """Only the coupler bends, and has the same link frame with the loop cut at C or D."""
     runs = {}

@@ -25,7 +25,7 @@ MOMENT, RISE = 16.0, 0.01  # of flexible_four_bar_runs
 STIFFER = 4.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_stiff_four_bar_tends_to_the_closed_form(flexible_four_bar_runs, exact_four_bar, four_bar_loads):
     """Coupler and rocker flexible, with steel's modulus and with four times that."""
     runs = [flexible_four_bar_runs[1][name] for name in ("perfect", "stiff")]
@@ -105,7 +105,7 @@ def tripods():
     return jax.tree.map(np.asarray, (eqx.filter_jit(simulated)(chain(1.0, 1)), runs))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_stiff_chain_moves_like_a_rigid_one(tripods):
     rigid, flexible = tripods
     assert (flexible.status == 0).all()

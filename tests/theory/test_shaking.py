@@ -90,7 +90,7 @@ def shaken(**more):
     return Mechanism(links, joints, **settings | more), bodies
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_base_carries_the_rate_of_momentum_less_weight_and_given_loads():
     mechanism, bodies = shaken(shaking_point=ABOUT)
     run = jax.tree.map(np.asarray, simulate(simulation_of(mechanism), record="shaking"))
@@ -116,7 +116,7 @@ def test_the_base_carries_the_rate_of_momentum_less_weight_and_given_loads():
     assert np.abs(run.motion.drive_moment).max() > 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_derivatives_agree_in_both_modes():
     names = (*METRICS, "peak_shaking_moment")
     problem = Problem(simulation_of(arm(shaking_point=ABOUT), duration=0.1), names)
@@ -128,6 +128,7 @@ def test_derivatives_agree_in_both_modes():
     check_derivatives(values, [4e-4, 3e-3], [1e-5, 1e-5], reverse=1e-9, differences=1e-5, floor=1e-3)
 
 
+@pytest.mark.long
 def test_a_given_motion_shakes_the_base_as_the_simulation_of_it_does():
     mechanism, _ = shaken(shaking_point=ABOUT)
     model, rate = discretise(mechanism), {"A": RATE}
@@ -139,7 +140,7 @@ def test_a_given_motion_shakes_the_base_as_the_simulation_of_it_does():
         np.testing.assert_allclose(found, exact, rtol=0, atol=1e-5 * np.abs(exact).max())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_mechanism_at_rest_weighs_on_its_base():
     """At rest the base carries the weight and what is given; it has its moment about the stated point."""
     mechanism, bodies = shaken(shaking_point=ABOUT)
@@ -157,7 +158,7 @@ def test_a_mechanism_at_rest_weighs_on_its_base():
     assert kinetostatic_turn(discretise(shaken()[0]), positions=positions[:1]).shaking is None
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_metrics_at_rest_and_derivatives_of_turns_agree_in_both_modes():
     model = discretise(arm(shaking_point=ABOUT))
     problem = StaticProblem(

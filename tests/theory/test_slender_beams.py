@@ -114,7 +114,7 @@ def chain(ratio, load):
     return np.array([middle[1], 1.0 - 0.25 / M - middle[0], np.sum(rotations)]), end
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_exact_elements_meet_the_exact_chain_and_the_elastica():
     loads = [0.01, 1.0, 5.0]
     ratios, loads, (elastic, derivative, status, clamp) = solve(1.0, "geometrically_exact", loads)
@@ -210,7 +210,7 @@ def blades(four_bar):
     return results
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("elements", ["linear", "geometrically_exact"])
 def test_four_bar_of_blades_assembles(blades, elements):
     """EA L^2/EI of the rocker: 1.2e6 and 1.2e8.  Its preload has its derivative."""
@@ -225,7 +225,7 @@ def test_four_bar_of_blades_assembles(blades, elements):
         np.testing.assert_allclose(derivative[one], difference, rtol=2e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_thin_blades_have_left_their_equilibrium(four_bar):
     """The equations of motion, another formulation than that of statics, have growing modes about the equilibrium of
     the thin blades, and none about that of the thick ones."""
@@ -239,6 +239,7 @@ def test_thin_blades_have_left_their_equilibrium(four_bar):
         assert (np.asarray(squares) < 0.0).any() == unstable
 
 
+@pytest.mark.long
 def test_both_forms_give_the_same_preload_of_blades(blades):
     linear, exact = (blades[name][3] for name in ("linear", "geometrically_exact"))
     for case in (0, 1, 4):
@@ -246,7 +247,7 @@ def test_both_forms_give_the_same_preload_of_blades(blades):
         np.testing.assert_allclose(linear[case], exact[case], rtol=0, atol=0.03 * largest)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_cannot_be_put_together_says_so(blades, four_bar):
     """Links far too long for linear elements (rounding decides whether Newton's method comes to rest
     somewhere beyond their range, or nowhere); a rigid loop that an error opens sideways, whose least-squares

@@ -65,6 +65,7 @@ def bodies(rfes, kind="fixed", **more):
     return Mechanism(links, [Joint("A", "base", "b0", kind=kind), *joints], **more)
 
 
+@pytest.mark.long
 @BOTH
 def test_deflection_and_twist_of_a_cantilever(elements):
     """Moments at the middles of m segments: the midpoint rule of P (L - x)^2 / EI."""
@@ -80,6 +81,7 @@ def test_deflection_and_twist_of_a_cantilever(elements):
     assert -1e-8 < x < 0.0  # it bends without becoming longer
 
 
+@pytest.mark.long
 def test_frequencies_are_those_of_euler_and_bernoulli_and_of_torsion():
     """Rotary inertia lowers the second bending frequencies by a few thousandths; errors are of second order."""
     coarse, fine = (natural_frequencies(discretise(bar(n)), count=8) for n in (5, 9))
@@ -99,6 +101,7 @@ def test_frequencies_are_those_of_euler_and_bernoulli_and_of_torsion():
     assert second + (second - first) / 3.0 == pytest.approx(turning, rel=1e-4)
 
 
+@pytest.mark.long
 def test_limit_of_links_with_all_coordinates():
     """Frequencies of a loop, to first order in the compliances that the links do not have."""
     loop, off = four_bar(3, gravity=(0.0, 0.0, 0.0)), []
@@ -111,6 +114,7 @@ def test_limit_of_links_with_all_coordinates():
     assert off[1] == pytest.approx(1e-2 * off[0], rel=0.05)
 
 
+@pytest.mark.long
 @BOTH
 def test_planar_motion_is_that_of_rigid_bodies_with_springs(elements):
     """Far from straight and fast: in the plane the springs of both forms of elements are linear in the angles."""
@@ -143,6 +147,7 @@ def test_planar_motion_is_that_of_rigid_bodies_with_springs(elements):
     np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
+@pytest.mark.long
 def test_small_motion_in_space_is_that_of_rigid_bodies_with_springs():
     model = discretise(bar(3, gravity=(0.0, 0.0, 0.0)))
     expected = natural_frequencies(discretise(bodies(3, gravity=(0.0, 0.0, 0.0))), count=6)
@@ -177,6 +182,7 @@ def run(model, method, errors, duration=0.03):
     return simulate(Simulation(model, drive=None, method=method, duration=duration, save_every=0.01), errors)
 
 
+@pytest.mark.long
 def test_loads_and_balances_of_explicit_and_implicit_methods(models):
     full, chains = models
     errors = {"D.delta_x": ERROR}
@@ -190,6 +196,7 @@ def test_loads_and_balances_of_explicit_and_implicit_methods(models):
         assert load == pytest.approx(float(runs[1].metrics.rms_force[name]), rel=2e-3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", [RungeKutta4(step=4e-5), GeneralisedAlpha(step=1e-3, tolerance=1e-12)])
 def test_derivatives(models, method):
     def loads(numbers):

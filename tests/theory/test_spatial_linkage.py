@@ -58,7 +58,7 @@ def closed_form(mechanism, crank, errors, near):
     return np.unwrap(roots[np.argmin(np.abs(first))])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_output_angle_without_and_with_errors(study):
     mechanism = rigid(study.mechanism)
     model = discretise(mechanism)

@@ -122,6 +122,7 @@ def forces_of(loads):
     return np.concatenate([np.concatenate([one.force, one.moment]) for one in loads.values()])
 
 
+@pytest.mark.long
 def test_a_bar_is_assembled_as_a_beam(linkage, of_rfes):
     found = forces_of(assemble(linkage, ERRORS).preload)
     coarse, fine = (forces_of(assemble(model, ERRORS).preload) for model in of_rfes)
@@ -165,6 +166,7 @@ def test_frequencies_of_a_cantilever():
     np.testing.assert_allclose(frequencies, closed / (2.0 * np.pi), rtol=2e-4)
 
 
+@pytest.mark.long
 def test_a_free_body_vibrates_as_its_matrices_say_in_any_axes_and_order():
     """The same body turned, and with another interface first, whose frame the link has."""
     body, _ = reduced(ANGLE_FRAME, (0, 20, 35), 2)
@@ -191,6 +193,7 @@ def test_modes_that_limit_steps_are_those_of_beams(linkage, of_rfes):
     np.testing.assert_allclose(found, extrapolated(coarse, fine), rtol=3e-3)
 
 
+@pytest.mark.long
 def test_frequencies_of_a_bent_part_under_its_weight():
     """A rocker of two legs, which its weight bends by 1 mrad: frequencies change as those of rfes, a little."""
     end = ANGLE_FRAME[35]
@@ -234,6 +237,7 @@ def test_a_frame_under_a_force_bends_as_its_finite_elements(modes):
         np.testing.assert_allclose(shift, moved[6 * node : 6 * node + 3], atol=2e-3 * np.abs(moved).max())
 
 
+@pytest.mark.long
 def test_weight_of_a_frame():
     gravity = np.array([2.0, 3.0, -9.0])
     body, rows = reduced(ANGLE_FRAME, (0, 20, 35), 12)
@@ -353,6 +357,7 @@ def free_part():
     return Mechanism([part], [joint], gravity=(1.0, 2.0, -9.0))
 
 
+@pytest.mark.long
 def test_loads_are_those_of_the_momenta_and_the_energy():
     """In any motion, whether it obeys the equations or not, the base exerts the rate of the momenta, and all forces
     that are left over do the work that the energies change by. Both hold for the linear energy without a remainder."""
@@ -439,6 +444,7 @@ def test_exact_elements_and_point_masses_beside_it():
     np.testing.assert_allclose(linear, exact, rtol=5e-3)
 
 
+@pytest.mark.long
 def test_derivatives(linkage):
     def loads(numbers):
         names = "D.d_y", "D.delta_x", "rocker.length", "rocker.damping"
@@ -457,6 +463,7 @@ def test_derivatives(linkage):
     assert (np.abs(found.forward) > 0.0).all()
 
 
+@pytest.mark.long
 def test_derivatives_without_errors_and_loads():
     """At rest, where nothing is loaded and stresses, as all sizes of loads, are at the foot of a square root."""
     part, _ = reduced(straight(0.3), (0, 24), 2)
@@ -545,6 +552,7 @@ def test_a_stiffness_of_the_wrong_sign_is_refused():
         ReducedBody(body.interfaces, body.mass, -np.asarray(body.stiffness))
 
 
+@pytest.mark.long
 def test_motions_without_inertia_get_a_little():
     """Rigid masses at interfaces, and matrices that lost digits: what vibrates slowly does so as before, and fast
     motions are fast. A mass that is negative beyond its digits is refused."""
@@ -573,6 +581,7 @@ def test_motions_without_inertia_get_a_little():
         ReducedBody(body.interfaces, lost(1e-3), body.stiffness)
 
 
+@pytest.mark.long
 def test_a_part_that_leads_along_the_hinges():
     """As a fork with two bores on one axis: nothing says how sections would be turned, and it has none."""
     along, _ = reduced(straight(0.3), (0, 12, 24), 2)

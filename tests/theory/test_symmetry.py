@@ -37,7 +37,7 @@ def test_planar_mechanism_stays_planar(runs):
         assert np.abs(line[..., 1]).max() < 1e-14
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_planar_state_has_planar_accelerations(flexible_four_bar_runs):
     """Any planar state, closed or not."""
     model, _ = flexible_four_bar_runs

@@ -246,6 +246,7 @@ def varied():
     return clamped(Rectangle(0.015, 0.02), (Station(0.17, after=thin), Station(section=end)), 4, [push])
 
 
+@pytest.mark.long
 def test_derivatives_of_masses_and_stiffnesses_by_station_and_sections():
     """The step moves within a segment and within an rfe."""
     model = varied()

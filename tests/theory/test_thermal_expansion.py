@@ -81,6 +81,7 @@ class TestHeldBar:
         assert int(status) == 0
         np.testing.assert_allclose(found, AXIAL * ALPHA / (1.0 + ALPHA * (WARMER + 1.0)), rtol=1e-9)
 
+    @pytest.mark.long
     def test_with_a_bearing_in_series(self):
         stiffness = 3e7
         found, status = push(held(bearing=stiffness), {"bar.temperature": WARMER})
@@ -96,6 +97,7 @@ class TestHeldBar:
         np.testing.assert_allclose(found, AXIAL * less / growth, rtol=1e-9)
         np.testing.assert_allclose(push(model, {"bar.temperature": 40.0, "base.temperature": 20.0})[0], 0.0, atol=1e-6)
 
+    @pytest.mark.long
     def test_derivatives(self):
         """By temperatures that deviate, and by the expansion of the material as a design."""
         model = held(base=Base(23e-6))
@@ -186,6 +188,7 @@ class TestGradient:
         np.testing.assert_allclose(forces, -slopes, rtol=1e-9, atol=1e-9 * np.abs(slopes).max())
         np.testing.assert_allclose(both(jnp.zeros_like(moved))[0][4, -1], BENDING * ALPHA * GRADIENT, rtol=1e-9)
 
+    @pytest.mark.long
     def test_derivatives(self):
         """By both gradients, by the expansion as a design, and by a longer link, whose moment is the same."""
         model = held()
@@ -275,7 +278,7 @@ def test_what_has_no_expansion_is_as_before():
     assert not any("temperature" in name or name.endswith(".thermal_expansion") for name in names)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_warm_coupler_is_a_longer_one():
     """Of the same mass: preload and positions of the assembled four-bar, and with a length error."""
     growth = 1.0 + ALPHA * 100.0

@@ -83,6 +83,7 @@ def test_a_pretwisted_cantilever_bends_in_both_planes():
     np.testing.assert_allclose(errors[0] / errors[1], 4.0, rtol=0.15)
 
 
+@pytest.mark.long
 def test_a_twisted_link_between_walls_is_turned_back():
     """It carries GJ/L times its twist; a wall in its middle, where half of the twist is due, carries nothing. Without
     errors of form the hole in the middle is not turned."""
@@ -123,6 +124,7 @@ def test_what_is_fixed_to_a_twisted_link_is_turned_with_it():
     assert np.asarray(turned.mass).sum() == pytest.approx(np.asarray(straight.mass).sum(), rel=1e-14)
 
 
+@pytest.mark.long
 def test_derivatives_at_no_twist_in_both_modes():
     """Of a link between walls, one of which is higher by d: what bends it in one plane bends it in the other, too, and
     the walls push it back by 6 d tau (EI_z - EI_y)/L^3."""

@@ -64,7 +64,7 @@ def test_rss_of_a_linear_metric_is_the_closed_form():
     assert check.shadow_price == pytest.approx(-result.cost, rel=1e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_worst_case_of_a_linear_metric_is_the_closed_form_with_bounds_active():
     result = allocate(LINEAR, {"f": 2.0}, COSTS, bounds(3), key=KEY)
     exact = np.sqrt(FACTORS / GRADIENT)
@@ -99,7 +99,7 @@ def test_even_metric_beyond_its_quadratic_model_is_corrected_on_the_full_problem
     assert len(result.history) >= 3
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_limits_of_24_errors_hold_in_the_worst_case_and_cannot_all_be_relaxed():
     k = 24
     rng = np.random.default_rng(2)
@@ -126,7 +126,7 @@ def test_two_limits_of_24_errors_hold_in_the_worst_case_and_cannot_all_be_relaxe
     assert priced and all(abs(c.verified_margin) < 1e-4 for c in priced)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_yield_of_a_uniform_error_is_its_closed_form_and_a_fresh_run_agrees():
     # P((t u)^2 <= 1) with u uniform on -1..1 is 1/t = 0.9, so t = 1/0.9.
     result = allocate(SQUARE, {"f": 1.0}, Reciprocal(), bounds(1), "yield", key=KEY, target=0.9, **UNIFORM)
@@ -159,7 +159,7 @@ def test_rss_moments_of_an_even_metric_against_a_large_sample():
     assert exact < statistic("quantile", 2.0) < 1.15 * exact  # on the safe side of a skewed metric
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_mean_of_an_even_metric_is_held_at_its_limit():
     # E f = sum a_i^2 t_i^2 / 9: the closed form of RSS with a_i^2/9 for g_i^2.
     a = np.array([1.0, 2.0, 0.5])
@@ -172,7 +172,7 @@ def test_mean_of_an_even_metric_is_held_at_its_limit():
     assert result.status == "ok" and low < 1.0 < high
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_infeasible_request_names_the_limit_and_the_best_value():
     problem = make({"f": lambda x: 1.0 + jnp.asarray(GRADIENT) @ x, "g": lambda x: x[0]}, 3)
     request = {"g": 100.0, "f": 1.5}
@@ -185,6 +185,7 @@ def test_infeasible_request_names_the_limit_and_the_best_value():
     assert nominal.status == "infeasible" and "on f cannot be met" in nominal.message
 
 
+@pytest.mark.long
 def test_failed_samples_count_against_the_yield():
     # Fails for e > 0.5: with t = 1 a quarter of all samples; at 95 % yield t (1 - 0.1) <= 0.5.
     def function(errors):
@@ -250,6 +251,7 @@ def test_a_metric_with_a_kink_at_the_centre_is_refused():
         allocate(kink, {"f": 1.0}, Reciprocal(), bounds(2), key=KEY)
 
 
+@pytest.mark.long
 def test_quantile_weights_recover_quantiles():
     weights = quantile_weights(4096, 0.95)
     uniform = (np.arange(4096) + 0.5) / 4096

@@ -108,7 +108,7 @@ def test_rss_of_24_tolerances_is_the_closed_form_of_every_cost(case):
     assert share == pytest.approx(stats.norm.cdf(3.0), abs=3e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_yield_of_24_tolerances_is_the_closed_form_and_holds_on_fresh_samples():
     target = 0.9
     result = allocate(
@@ -130,7 +130,7 @@ def test_yield_of_24_tolerances_is_the_closed_form_and_holds_on_fresh_samples():
     assert result.verified_yield == pytest.approx(np.mean(fresh_loads(t) <= 3.0), abs=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_infeasible_rss_request_says_which_limit_and_the_best_reachable():
     coarse = dict.fromkeys(NAMES, (0.5, 20.0))
     best = 1.0 + np.linalg.norm(G * 0.5)
@@ -185,7 +185,7 @@ def test_requests_that_do_not_fit_are_refused(model, changes, words):
     assert words in str(caught.value)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_model_that_fits_is_used():
     exact = expand(PROBLEM, names=("e0", "e1"))
     request = ({"load": 3.0}, Reciprocal(), {"e0": (1e-3, 20.0), "e1": (1e-3, 20.0)})
@@ -236,7 +236,7 @@ def test_a_fresh_run_passes_unless_it_violates_a_limit_beyond_its_interval():
     assert not _passes(joint, fresh(fraction=0.88, high=0.89), 1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_answer_that_fresh_runs_refuse_is_not_verified(monkeypatch):
     # A problem that is worse for fresh samples than for those that found the answer.
     original, runs = CorrectedStatistics.verify, []

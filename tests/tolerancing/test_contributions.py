@@ -58,7 +58,7 @@ def test_a_linear_metric_has_its_variances(found):
     assert np.all(np.isnan(found.shares.total[2])) and found.shares.std[2] == 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_shares_of_a_quadratic_are_its_sobol_indices(found):
     samples = monte_carlo(PROBLEM, TOLERANCES, 4096, jax.random.key(1), sobol_indices=True, batch=4096)
     indices = samples.sobol_indices["quadratic"]

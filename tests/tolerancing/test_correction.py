@@ -89,6 +89,17 @@ def test_amounts_and_promises_are_those_of_the_linear_theory(machine):
     assert result.best.mean == min(tilt.mean, shift.mean) and result.together is together
 
 
+def test_progress_counts_the_steps_of_all_searches(machine):
+    """Those that a search does not need are done at its end."""
+    told = []
+    correct(
+        LOADS, machine[0], "C.square", ADJUSTMENTS, steps=20, points=4, progress=lambda *counts: told.append(counts)
+    )
+    done, totals = np.array(told).T
+    assert set(totals) == {60} and done[-1] == 60
+    assert (np.diff(done) >= 0).all() and done[0] == 1 and len(set(done)) > 4
+
+
 def test_tolerances_that_are_violated_after_a_correction(machine):
     found, mean, covariance = machine
     near = dataclasses.replace(found, tolerances=SIGMA[:, None] * np.array([-0.9, 1.05]))
@@ -141,7 +152,7 @@ def test_errors_that_are_held_fixed_count(machine):
     assert result.together is result.best and len(result.sentences()) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_true_machines_keep_what_is_promised():
     """The metric of the true machine after the correction lies in the interval as often as that says."""
     rng, machines, level = np.random.default_rng(5), 120, 0.9

@@ -119,7 +119,7 @@ def shown(simulation):
     return np.asarray(simulate(simulation).motion.rate)[1:]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_links_and_steps_of_a_mechanism_are_checked(refused):
     simulation, noise = swinging(2), 1e-3 * np.random.default_rng(0).normal(size=40)
     data = {"time_s": np.linspace(1e-3, 0.04, 40), "rate_rad_s": shown(swinging(2, moment=1.1)) + noise}

@@ -96,6 +96,7 @@ def test_widths_and_intervals_may_be_strings_with_a_unit(kind):
             study()
 
 
+@pytest.mark.long
 def test_points_half_widths_and_bounds_may_be_strings_with_a_unit():
     problem = FunctionProblem(lambda e: {"y": e["a"] ** 2 + e["b"]}, ("a", "b"), ("y",), error_units={"b": "m"})
     found = sensitivity(problem, {"a": "0.1 rad"}, scale={"a": "0.5 deg", "b": "2 mm"})

@@ -100,7 +100,7 @@ def start(folder, instant, count):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_killed_study_continues_bitwise(tmp_path, reference):
     if jax.default_backend() != "cpu":
         pytest.skip("the processes of this test run on the CPU")

@@ -64,6 +64,7 @@ def worst_corner(problem):
     return largest
 
 
+@pytest.mark.long
 def test_gradients_vanish_and_hessians_are_symmetric(problem, quadratic):
     found = sensitivity(problem, scale=WIDTHS)
     assert "even" in str(found) or "kink" in str(found)
@@ -78,6 +79,7 @@ def test_gradients_vanish_and_hessians_are_symmetric(problem, quadratic):
         assert values.min() > -1e-9 * values.max()
 
 
+@pytest.mark.long
 def test_quadratic_form_equals_differences_of_mean_squares(problem, quadratic):
     run = jax.jit(problem)
     e = {name: 0.02 * width for name, width in WIDTHS.items()}
@@ -89,6 +91,7 @@ def test_quadratic_form_equals_differences_of_mean_squares(problem, quadratic):
         np.testing.assert_allclose(form, difference, rtol=1e-5)
 
 
+@pytest.mark.long
 def test_mean_of_small_tolerances_is_the_hessian_s(problem, quadratic):
     tolerances = Tolerances({name: Normal(0.1 * width) for name, width in WIDTHS.items()})
     result = monte_carlo(problem, tolerances, 512, KEY, batch=32, sampling="sobol")
@@ -101,11 +104,13 @@ def test_mean_of_small_tolerances_is_the_hessian_s(problem, quadratic):
         np.testing.assert_allclose(means[i] - nominal, caused, rtol=0.05)
 
 
+@pytest.mark.long
 def test_worst_case_is_the_exhaustive_corner(problem, worst_corner):
     found = worst_case(problem, WIDTHS, "A.mean_square_moment", key=KEY)
     np.testing.assert_allclose(found.value, worst_corner(WIDTHS), rtol=1e-8)
 
 
+@pytest.mark.long
 def test_allocation_is_verified_and_compiles_the_simulator_twice(problem, worst_corner):
     limit = 1.0  # the perfect mechanism has no moment
     before = len(TRACES)

@@ -85,7 +85,7 @@ def solve(problem=PROBLEM, errors=None, seed=0, sensors=SENSORS, tolerances=TOLE
     return identify(problem, data, sensors, tolerances, times=TIMES, **{"starts": 4, "samples": 128} | more)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_intervals_cover_as_they_promise_and_estimates_are_unbiased():
     machines, level = 200, 0.9
     rng = np.random.default_rng(11)
@@ -412,7 +412,7 @@ def pendulum():
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_shift_along_the_only_axis_is_invisible_but_to_places(pendulum):
     """Theory: gravity and inertia do not depend on where the mechanism is, so that no load sees it move along y."""
     tolerances = Tolerances({"A.d_y": Normal("1 mm"), "A.delta_x": Normal("2 deg"), "A.d_z": Normal("1 mm")})
@@ -426,7 +426,7 @@ def test_a_shift_along_the_only_axis_is_invisible_but_to_places(pendulum):
     assert (place.visibility.singular > 10.0).all()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_shift_of_the_whole_mechanism_is_invisible():
     """Theory: loads do not see where the mechanism is along its axes; turns about these are no errors at all."""
     model = discretise(four_bar(rfes=2))
@@ -444,7 +444,7 @@ def test_a_shift_of_the_whole_mechanism_is_invisible():
     assert found.deviations == pytest.approx([np.sqrt(0.5)] * 2 + [0.0], abs=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_simulated_arm_is_identified_from_another_model(pendulum, refused, tmp_path):
     truth = {"A.delta_x": np.radians(1.5), "A.d_z": 3e-4}
     fine = dataclasses.replace(pendulum, method=GeneralisedAlpha(step=5e-4), save_every=1e-3)

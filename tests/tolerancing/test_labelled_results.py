@@ -65,7 +65,7 @@ def results(problem):
     }  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_dataset_of_sensitivities(results):
     found, result = results["sensitivity"].to_xarray(), results["sensitivity"]
     np.testing.assert_allclose(found.gradient.sel(metric=HOSTILE), [1.0, -2.0], atol=1e-12)

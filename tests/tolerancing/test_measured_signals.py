@@ -131,7 +131,7 @@ def swinging():
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_strain_gauge_feels_what_beam_theory_says(swinging):
     """A turning bar: its inertia and weight beyond the gauge bend and pull it."""
     predictor = Predictor(swinging, GAUGES, ("steel.youngs_modulus",), {})

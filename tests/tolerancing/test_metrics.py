@@ -151,7 +151,7 @@ def build(model, names):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_registered_metric_runs_through_a_problem_and_sensitivities_to_their_table(registered, pendulum):
     problem = build(pendulum, ("tip", "A.pull", "end_energy", "arm.end.reach"))
     assert problem.metrics[0] is metric("tip") and problem.metrics[1].label == "pull in A"

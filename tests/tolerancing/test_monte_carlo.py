@@ -343,7 +343,7 @@ def finish(process):
     return [int(word) for word in out.split()[-3:]]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_processes_and_devices_give_the_one_process_result(tmp_path):
     if jax.default_backend() != "cpu":
         pytest.skip("the processes of this test run on the CPU")

@@ -56,7 +56,7 @@ def study(function, truth, sampling, n=N, repeats=REPEATS):
 
 # A coverage of 0.95 has a standard error of 0.014 here: three of them below is 0.908. The interval
 # of a standard deviation is of large-n theory and falls a little short, for random points too.
-@pytest.mark.slow
+@pytest.mark.long
 def test_intervals_of_nets_cover():
     covered, _ = study(chi_square, TRUTH, "sobol")
     for name in ("mean", "median", "q90", "yield"):
@@ -74,7 +74,7 @@ def test_intervals_of_nets_are_narrower_on_a_smooth_function():
         assert ratio[name] < 0.9, ratio
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_intervals_of_nets_are_honest_where_nets_gain_nothing():
     truth = {"mean": 0.5, "std": 12**-0.5, "median": 0.5, "q90": 0.9, "yield": 0.9}
     covered, widths = study(rough, truth, "sobol")
@@ -151,7 +151,7 @@ def test_a_study_uses_its_nets_in_every_interval():
     assert design.statistics["y"].mean == statistics.estimate_mean(y, 0.95, both)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_controlled_means_of_nets_cover():
     exact = np.sinh(0.5) / 0.5 * np.sin(1.0)
     model, hits, widths, plain = expand(PROBLEM), 0, [], []

@@ -53,6 +53,7 @@ def result(problem):
     return monte_carlo(problem, Tolerances(widths), 64, jax.random.key(3))
 
 
+@pytest.mark.long
 def test_parts_of_a_hand_s_deviations(problem, result):
     bands = path_bands(problem, result)
     assert list(bands) == ["tip", "middle"]
@@ -75,6 +76,7 @@ def test_parts_of_a_hand_s_deviations(problem, result):
     assert_allclose(bands["middle"].parts_of_deviations[..., 1], np.tile(-0.5 * longer[:, None], TIMES), atol=1e-12)
 
 
+@pytest.mark.long
 def test_forms_of_a_band(problem, result):
     (band,) = path_bands(problem, result, ["tip"], samples=16, level=0.5).values()
     assert len(band.deviations) == 16
@@ -97,6 +99,7 @@ def test_bands_of_no_good_sample_and_of_unknown_points(problem, result):
         path_bands(problem, result, ["tp"])
 
 
+@pytest.mark.long
 def test_parts_of_deviations_in_the_plane_of_x_and_y(result):
     """d_y of a joint is along its hinge, which is z there; the hand turns from x to y, and across is towards its
     hinge."""

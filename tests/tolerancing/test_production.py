@@ -70,7 +70,7 @@ def fleet():
     return true, data, [identified(y) for y in data]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_production_is_found_with_the_likelihood_of_the_data_themselves(fleet):
     """Independently, without posteriors: y = C x + noise is normal with the covariance C T C' + noise^2."""
     true, data, found = fleet
@@ -158,7 +158,7 @@ def test_lines_are_tolerances_of_a_study(fleet, tmp_path):
     assert {row["machine"] for row in result.machine_rows()} == {*result.machines, *result.left_out}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_intervals_cover_as_they_promise():
     """Small fleets of machines, one error of which does not scatter at all."""
     rng, fleets, n, level = np.random.default_rng(8), 40, 12, 0.9
@@ -178,7 +178,7 @@ def test_intervals_cover_as_they_promise():
     assert low <= inside[0] <= high and inside[1] >= low, inside  # at the bound, intervals cover more
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_is_in_doubt_is_told(fleet, refused):
     true, data, found = fleet
     few = found[:12]

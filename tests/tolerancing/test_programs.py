@@ -93,7 +93,7 @@ def test_equal_names_give_equal_metrics():
         metric("A.rms_farce")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
 @pytest.mark.parametrize("k", [3, 40])
 def test_derivatives_at_many_points_are_those_at_single_ones_in_both_modes(mode, k):
@@ -144,6 +144,7 @@ def test_hessian_by_differences_is_the_exact_one_within_its_error(mode):
         expand_by_differences(problem, at, {"a": 0.0})
 
 
+@pytest.mark.long
 def test_hessian_by_differences_does_not_exist_at_kinks_and_failures():
     def function(errors):
         x = jnp.stack([errors["a"], errors["b"]])

@@ -111,6 +111,7 @@ SHAPES = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", SHAPES)
 def test_intervals_hold_the_exact_probability(name):
     shape = SHAPES[name]
@@ -179,7 +180,7 @@ def test_a_doubtful_probability_is_said_to_be_so():
     assert sum(held) >= 8
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_same_key_gives_the_same_result_and_another_batch_too():
     problem, tolerances = sum_problem(3)
     first, second = (

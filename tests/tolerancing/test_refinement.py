@@ -36,6 +36,7 @@ def clamped(rfes=None, own=5):
     return StaticProblem(discretise(mechanism, rfes), [UP, "A.max_force"])
 
 
+@pytest.mark.long
 def test_the_limit_of_a_beam_is_that_of_theory():
     found = mesh_convergence(clamped, accuracy=1e-4, progress=False)
     exact = 3e-3 * LENGTH**3 / (3.0 * RIGIDITY)
@@ -50,6 +51,7 @@ def test_the_limit_of_a_beam_is_that_of_theory():
     assert enough == pytest.approx(0.99 * exact, rel=1e-7)
 
 
+@pytest.mark.long
 def test_few_rfes_are_doubled_twice():
     found = mesh_convergence(lambda rfes: clamped(rfes, own=3), progress=False)
     assert found.refinements == (1.0, 2.0, 4.0)
@@ -93,6 +95,7 @@ def test_a_case_that_fails_has_its_status():
     assert "Case gone has no values" in str(found) and found.rfes_for(0.01) == {"beam": 6}
 
 
+@pytest.mark.long
 def test_a_finest_mesh_that_fails_is_left_out():
     def make(rfes):
         n = 5 if rfes is None else rfes["beam"]

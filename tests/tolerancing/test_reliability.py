@@ -65,7 +65,7 @@ def study():
     return reliability(PROBLEM, NORMALS, LIMITS, KEY, n=4000)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_linear_limit_state_has_its_exact_index(study):
     linear = study.limits[0]
     assert (linear.metric, linear.side, linear.unit, linear.status) == ("linear", "upper", "N", "ok")
@@ -187,7 +187,7 @@ def test_plain_monte_carlo_sees_the_same_where_it_can():
     assert sum(found.limits[0].shares.values()) == pytest.approx(1.0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_limit_that_the_tolerances_cannot_reach_is_said_to_be_so():
     tolerances = Tolerances({name: Uniform(0.1) for name in SIGMA})
     found = reliability(PROBLEM, tolerances, {"linear": 1000.0, "flat": 1.0}, KEY, n=500)

@@ -124,7 +124,7 @@ def test_two_limits_may_be_worst_at_one_corner():
     assert found.tolerances["a"] == pytest.approx(0.85, abs=1e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_root_sum_of_squares_of_a_linear_limit(gap):
     # Squared reciprocal costs: mean - c deviations of the sample itself, so the optimum is compared with a fine search
     # over d of the closed form for the sample's own second moments.
@@ -142,7 +142,7 @@ def test_root_sum_of_squares_of_a_linear_limit(gap):
     assert abs(found.limits[0].verified) < 0.02
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_yield_of_a_linear_limit(gap):
     # One normal error: the yield is known; d is found such that the fraction 0.95 keeps the limit.
     found = optimise(

@@ -69,7 +69,7 @@ def test_sensitivities_with_a_finer_step(traced, problem):
     assert traced.count("_differentiate") == 1  # one program for both steps
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_values_after_an_expansion(traced, problem):
     """And those of a Monte Carlo study, whose distribution has a program of its own."""
     expand_by_differences(problem, None, WIDTHS)
@@ -93,7 +93,7 @@ def stepped(step, save_every=4e-3, method="generalised_alpha"):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_one_program_serves_all_steps(traced):
     jax.clear_caches()
     at, tilts, found = {"arm.length": jnp.asarray(2e-4)}, [[0.002], [0.01]], []
@@ -120,7 +120,7 @@ def of(problem):
     return lambda x: jnp.stack([problem({"A.delta_x": x})[0][one.name] for one in problem.metrics])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_one_program_has_the_gradients_of_all_metrics(traced):
     """In reverse mode, at zero error, too."""
     model, method = discretise(arm()), GeneralisedAlpha(step=2e-3)
@@ -145,7 +145,7 @@ def test_the_angle_is_of_no_slide():
         Problem(simulation, "angle_error")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_program_of_simulations_serves_all_steps(traced):
     """Of a loop with one flexible link, where the number of steps is no part of the program."""
     links = [link("crank", 0.12), link("coupler", 0.3, 2), link("rocker", 0.3)]

@@ -58,7 +58,7 @@ def test_the_worst_case_over_a_zone_decides_its_diameter(name, zones, worst):
     assert found.limits[0].shadow_price == pytest.approx(-worst, rel=1e-2)  # d(worst/limit)/d(limit)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_allocation_over_the_ends_of_an_axis():
     found = allocate(LINEAR, {"f": 1.0}, PRICE, {"D.position": BOUNDS}, key=KEY, zones=[AXIS])
     assert found.status == "ok" and found.units == {"D.position": "m"}
@@ -72,7 +72,7 @@ def split(prices):
     return roots / (roots @ [2.5, 2.0])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_zone_beside_an_error_of_its_own():
     bounds = {DISC: ("1 mm", "5 m"), "a.length": BOUNDS}
     cost = {DISC: Reciprocal(3.0), "a.length": PRICE}
@@ -96,7 +96,7 @@ def test_a_zone_that_stays_as_it_is_keeps_its_shape():
     assert both.tolerances == pytest.approx({DISC: 0.1, "a.length": 0.5 * (1.0 - 0.25)}, rel=1e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_yield_counts_points_uniform_in_the_disc():
     """P(r^2 <= 1) = 1/(D/2)^2 whatever the distribution of other errors is."""
     settings = {"target": 0.8, "samples": 512, "verify_samples": 2048, "distribution": Uniform}
@@ -108,7 +108,7 @@ def test_a_yield_counts_points_uniform_in_the_disc():
     assert design.tolerances[DISC] == pytest.approx(2.0 / np.sqrt(0.8), rel=0.04)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_deviations_of_a_zone():
     """A coordinate of a disc of radius R has the deviation R/2."""
     design = optimise(LINEAR, {}, {DISC: BOUNDS}, "cost", {"f": 1.0}, cost=PRICE, key=KEY, robust="rss", samples=512)

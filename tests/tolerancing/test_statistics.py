@@ -134,7 +134,7 @@ def test_sobol_indices_leave_out_failed_samples_and_constants():
     assert all(np.isnan(estimate.value) for estimate in flat.total.values())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_sobol_index_intervals_cover():
     hits, repeats = 0, 60
     first, total = ishigami_indices()

@@ -37,6 +37,7 @@ def solve(truth, *, disturb=lambda t: 0.0, sensors=SENSORS, shift=0.0, **more):
     return identify(PROBLEM, data, sensors, TOLERANCES, **settings)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("hidden", ["D.delta_z", "A.d_x", "B.d_z"])
 @pytest.mark.parametrize("sensors", [SENSORS, list(NOISE)])
 @pytest.mark.parametrize("loss", ["gaussian", "huber"])

@@ -24,6 +24,7 @@ def widths(values):
     return {f"e{i}": value for i, value in enumerate(values)}
 
 
+@pytest.mark.long
 def test_linear_metric_is_largest_at_the_corner_of_its_gradient():
     gradient = np.array([3.0, -2.0, 0.5])
     t = np.array([0.1, 0.2, 0.4])
@@ -37,7 +38,7 @@ def test_linear_metric_is_largest_at_the_corner_of_its_gradient():
     np.testing.assert_allclose([result.slopes[f"e{i}"] for i in range(3)], gradient * t, rtol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_even_metric_is_worst_on_two_opposite_corners_and_both_are_reported():
     rng = np.random.default_rng(0)
     root = rng.normal(size=(5, 5))
@@ -65,7 +66,7 @@ def test_interior_maximum_and_minimum_over_the_same_box():
     assert lowest.value == pytest.approx(1.0 - 1.3**2 - 1.2**2 - 3.0**2, rel=1e-13)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_non_convex_metric_of_many_errors_finds_the_global_maximum():
     # One-dimensional waves with several local maxima each; the exact maximum is separable.
     def wave(x):

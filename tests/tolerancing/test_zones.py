@@ -45,7 +45,7 @@ def drawn(zone, n=4096):
     return np.asarray(jax.vmap(zone.quantile)(unit_points(KEY, n, len(zone.names), "sobol")))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_a_ball_is_filled_evenly_in_all_directions(n):
     points = drawn(Zone("xyz"[:n], 2.0 * np.eye(n), (n,)))
@@ -57,7 +57,7 @@ def test_a_ball_is_filled_evenly_in_all_directions(n):
     assert np.all(np.abs(inside.mean(axis=0)) < 0.03)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_map_to_the_ball_is_smooth_at_its_middle():
     zone = Zone("xy", np.eye(2), (2,))
     exact = np.eye(2) * np.sqrt(0.5)  # y = w sqrt((1 - exp(-w^2/2))/w^2)
@@ -166,7 +166,7 @@ def test_capability_to_a_normal_distribution_and_back():
             ProcessNormal(0.1, **arguments)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "found",
     [

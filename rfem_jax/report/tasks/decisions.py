@@ -18,6 +18,7 @@ from rfem_jax.report.contents.annotations import Figure
 from rfem_jax.report.drawings.style import CASE_COLOURS, LINE_STYLES, MARKERS, add_titles, new_figure
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.monte_carlo import scatter_matrix
+from rfem_jax.report.tasks.task_report import as_stage
 from rfem_jax.tolerancing.identification.correction import correct
 from rfem_jax.tolerancing.identification.correction_result import AS_IT_IS, Correction, Outcome
 from rfem_jax.tolerancing.identification.identification_result import Identification
@@ -34,11 +35,11 @@ def corrected(study: Study, asked: AskedCorrection, at: dict[str, float], found:
     """The correction of a machine that was identified; None where nothing is known of it. Raises: InputError."""
     if not len(found.weights):
         return None
-    on_stage(f"Looking for the best of {len(asked.adjustments)} adjustments")
+    progress = as_stage(f"Looking for the best of {len(asked.adjustments)} adjustments")
     problem = study_problem.build_problem(study, list(dict.fromkeys((asked.metric, *asked.limits))))
     return correct(
         problem, found, asked.metric, asked.adjustments, multiples_of=asked.multiples_of, limits=asked.limits, at=at,
-        quantile=asked.quantile, points=asked.points, steps=asked.steps,
+        quantile=asked.quantile, points=asked.points, steps=asked.steps, progress=progress,
     )  # fmt: skip
 
 

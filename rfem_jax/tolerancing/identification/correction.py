@@ -36,6 +36,7 @@ from rfem_jax.tolerancing.problems.linearisation import linearise_points
 from rfem_jax.tolerancing.problems.problem import Metric, ToleranceProblem
 from rfem_jax.tolerancing.problems.sample_values import Base
 from rfem_jax.tolerancing.problems.simulated_problem import Problem
+from rfem_jax.tolerancing.progress import ProgressBar, ProgressOption
 from rfem_jax.tolerancing.robust_design.search import minimise_within
 
 STATIONARY = 1e-3  # slope of the mean over its spread, by amounts over their ranges, at which a search ends
@@ -57,6 +58,7 @@ def correct(
     quantile: float = 0.95,
     points: int = 16,
     steps: int = 40,
+    progress: ProgressOption = False,
 ) -> Correction:
     """Find the adjustment that reduces a metric of a measured machine most, and what the metric is after it.
 
@@ -74,6 +76,7 @@ def correct(
         quantile: the metric is below `reached` with this probability.
         points: samples of the posterior that the searches see.
         steps: the most of a search, each with derivatives at all of these samples.
+        progress: shows it, or is told (steps done, the most of all searches).
     Returns: the result, whose status says what is in doubt.
     Raises: InputError for an identification without a posterior, unknown names and bad numbers.
     """
@@ -93,7 +96,9 @@ def correct(
     ends, works = [(AS_IT_IS, nothing, True)], np.isfinite(before[:, machine.index])
     if works.any():
         seen = _representatives(before[:, machine.index], found.weights, points)
-        ends += [_in_multiples(machine, seen, packs, *end) for end in _search(machine, found, seen, steps)]
+        alone_and_together = len(machine.adjustments) + (len(machine.adjustments) > 1)
+        with ProgressBar(progress, steps * alone_and_together, unit="step") as bar:
+            ends += [_in_multiples(machine, seen, packs, *end) for end in _search(machine, found, seen, steps, bar)]
     outcomes = tuple(_outcome(machine, found, before, end, level) for end in ends)
     return Correction(
         metric=machine.problem.metrics[machine.index].name, unit=machine.problem.metrics[machine.index].unit,
@@ -185,17 +190,17 @@ def _representatives(
 
 
 def _search(
-    machine: _Machine, found: Identification, seen: Int[np.ndarray, " n"], steps: int
+    machine: _Machine, found: Identification, seen: Int[np.ndarray, " n"], steps: int, bar: ProgressBar
 ) -> list[tuple[str, Float[np.ndarray, " a"], bool]]:
     """(name, amounts (a,), converged) of every adjustment alone, and of all together where there are several."""
     a, starts = len(machine.adjustments), _starts(machine, found)
     ends = [
-        (name, *_minimise(machine, seen, np.arange(a) == i, starts, steps))
+        (name, *_minimise(machine, seen, np.arange(a) == i, starts, steps, bar))
         for i, name in enumerate(machine.adjustments)
     ]
     if a > 1:
         further = np.array([*starts, *(amounts for _, amounts, _ in ends)])
-        ends.append((TOGETHER, *_minimise(machine, seen, np.ones(a, dtype=bool), further, steps)))
+        ends.append((TOGETHER, *_minimise(machine, seen, np.ones(a, dtype=bool), further, steps, bar)))
     return ends
 
 
@@ -213,14 +218,17 @@ def _minimise(
     free: Bool[np.ndarray, " a"],
     starts: Float[np.ndarray, "c a"],
     steps: int,
+    bar: ProgressBar,
 ) -> tuple[Float[np.ndarray, " a"], bool]:
     """Amounts (a,), of adjustments that are not free 0, with the least mean over the samples seen, from the best of c
-    starts; and whether the search converged."""
+    starts; and whether the search converged. `bar` counts its steps, at the end those that it did not need, too."""
+    ends_at = bar.done + steps
     low, width = machine.bounds[free, 0], np.ptp(machine.bounds[free], axis=1)
     starts = np.unique(np.where(free, starts, 0.0), axis=0)
     means = machine.means(starts, seen)
     good = np.isfinite(means)
     if not good.any():
+        bar.advance(steps)
         return np.zeros(len(free)), False
     lowest, nothing = float(means[good].min()), int(np.argmin(np.abs(starts).sum(axis=1)))
     spread, negligible = float(np.ptp(means[good])), ROUNDING * float(np.abs(means[good]).max())
@@ -240,9 +248,11 @@ def _minimise(
             if not (np.isfinite(mean) and np.isfinite(slope).all()):
                 found = FAILED * (1.0 + float(np.sum((y - start) ** 2))), 2.0 * FAILED * (y - start)
             known[y.tobytes()] = found
+            bar.advance(min(1, ends_at - bar.done))
         return *known[y.tobytes()], np.zeros(0), np.zeros((0, len(y)))
 
     end = minimise_within(function, start, most=steps, stationary=STATIONARY)
+    bar.advance(ends_at - bar.done)
     return at(end.y), end.residual <= STATIONARY
 
 
