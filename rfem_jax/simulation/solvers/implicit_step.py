@@ -31,7 +31,6 @@ from rfem_jax.mechanics.implicit.newton import (
     IterationMatrix,
     NewtonIncrement,
     increment_and_wrenches,
-    newton_increment,
 )
 from rfem_jax.mechanics.implicit.residual import Evaluation, residual_of
 from rfem_jax.mechanics.model.model import Coordinates
@@ -219,15 +218,20 @@ def _end_and_tangent(method, matrix, constants, solution, inputs, fixed, along):
     predicted_by, end_by = jax.linearize(predicted, inputs)[1], jax.linearize(end_at, tree_joints, solution)[1]
 
     def tangent(along):
-        def refine(found, _):
-            residual, _ = linearised(found, along)
-            return jax.tree.map(jnp.add, found, newton_increment(topology, matrix, residual)), None
+        # All increments in a loop, the last one, too: machine code of them is written once.
+        def improved(found):
+            residual, end_tangent = linearised(found, along)
+            increment, wrenches = increment_and_wrenches(topology, matrix, residual)
+            return jax.tree.map(jnp.add, found, increment), (end_tangent, wrenches, increment)
 
-        found = predicted_by(along)
-        if method.tangent_increments > 1:
-            found, _ = jax.lax.scan(refine, found, None, length=method.tangent_increments - 1)
-        residual, end_tangent = linearised(found, along)
-        increment, wrenches = increment_and_wrenches(topology, matrix, residual)
+        first = predicted_by(along)
+        unknown = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(improved, first)[1])
+
+        def turn(carry, _):
+            return improved(carry[0]), None
+
+        (_, last), _ = jax.lax.scan(turn, (first, unknown), None, length=method.tangent_increments)
+        end_tangent, wrenches, increment = last
         return jax.tree.map(jnp.add, end_tangent, end_by(wrenches, increment))
 
     # A kernel of its own, which is entered once for every direction within that of the step.
