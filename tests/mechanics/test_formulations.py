@@ -119,13 +119,18 @@ CASES = [
     *[(named(loop_cut_by_sprung, kind), "moment", "linear") for kind in ("revolute", "universal", "fixed")],
 ]
 
-# Of which one takes ten seconds or more.
+# Of which one takes half a minute or more, and ten seconds or more.
+EXHAUSTIVE = {"slender_six_bar", "two_loop_six_bar"}
 LONG = {
-    "slender_six_bar", "three_link_loop", "six_link_loop", "two_loop_six_bar", "twisted_spatial_loop",
-    "curved_four_bar", "chain_of_kinds", "chain_with_forces", "chain_with_couplings", "chain_with_ideal_couplings",
-    "compliant_chain", "compliant_four_bar", "two_cuts_of_different_kinds", "loop_with_point_forces",
-    "loop_with_springs", "loop_cut_by-cylindrical", "loop_cut_by_sprung-fixed",
+    "three_link_loop", "six_link_loop", "twisted_spatial_loop", "curved_four_bar", "chain_of_kinds",
+    "chain_with_forces", "chain_with_couplings", "chain_with_ideal_couplings", "compliant_chain", "compliant_four_bar",
+    "two_cuts_of_different_kinds", "loop_with_point_forces", "loop_with_springs", "loop_cut_by-cylindrical",
+    "loop_cut_by_sprung-fixed",
 }  # fmt: skip
+
+
+def marks_of(name):
+    return [pytest.mark.exhaustive] if name in EXHAUSTIVE else [pytest.mark.long] if name in LONG else []
 
 
 def drives_of(topology, driven):
@@ -143,7 +148,7 @@ def drives_of(topology, driven):
 
 @pytest.fixture(
     scope="module",
-    params=[pytest.param(case, marks=pytest.mark.long) if case[0].__name__ in LONG else case for case in CASES],
+    params=[pytest.param(case, marks=marks_of(case[0].__name__)) for case in CASES],
     ids=lambda case: "-".join([case[0].__name__, *case[1:]]),
 )
 def compared(request):

@@ -388,9 +388,13 @@ def moving_at_the_start(model, rate):
     return State(start, Coordinates(jnp.asarray(rate * free / free[0]), jnp.zeros_like(start.elastic)))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
-    "make", [loop, partial(slider_crank, gravity=(0.5, 3.0, -9.0)), partial(door, reaction_length=0.7)]
+    "make",
+    [
+        pytest.param(loop, marks=pytest.mark.exhaustive),
+        pytest.param(partial(slider_crank, gravity=(0.5, 3.0, -9.0)), marks=pytest.mark.long),
+        pytest.param(partial(door, reaction_length=0.7), marks=pytest.mark.long),
+    ],
 )
 def test_the_dense_formulation_finds_the_same_reactions(make):
     model = turned(discretise(make()), random_rotations(1)[3])

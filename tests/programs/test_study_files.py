@@ -179,7 +179,7 @@ def test_identify_misassembly(run_program, run_command, tmp_path):
     assert tilt["deviation"] < 0.3 * tilt["prior_deviation"]
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_identify_misassembly_corrects_the_machine(run_program, run_command):
     """The study with fewer samples of what is known; the true machine, which the estimate does not know, keeps what
     every correction promises."""
