@@ -142,8 +142,10 @@ def test_links_and_steps_of_a_mechanism_are_checked(refused):
     assert {one.what for one in unchecked.divisions} == {"step", "save_every"} and "was not checked" in str(unchecked)
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("rfes, status", [(3, "coarse"), (15, "ok")])
+@pytest.mark.parametrize(
+    "rfes, status",
+    [pytest.param(3, "coarse", marks=pytest.mark.long), pytest.param(15, "ok", marks=pytest.mark.exhaustive)],
+)
 def test_few_rfes_are_too_coarse_for_what_another_engine_has_measured(rfes, status):
     """See `benchmarks/exudyn_measured.py`: with three rfes all errors are found 7 to 14 % too small."""
     study = load_study(Path(__file__).parents[2] / "studies" / "identify_misassembly" / "study.toml")
