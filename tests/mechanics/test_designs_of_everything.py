@@ -162,7 +162,10 @@ OUT = (("position", "y"), ("orientation", "xz"))
 OUT_OF_PLANE = tuple(f"{part}.{axis}" for part, axes in OUT for axis in axes)  # loops do not close with them
 
 
-@pytest.fixture(scope="module", params=[pytest.param("chain", marks=pytest.mark.exhaustive), "loop"])
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(name, marks=[pytest.mark.exhaustive] if name == "chain" else []) for name in MECHANISMS],
+)
 def described(request):
     return MECHANISMS[request.param]()
 

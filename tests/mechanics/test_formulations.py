@@ -119,7 +119,7 @@ CASES = [
     *[(named(loop_cut_by_sprung, kind), "moment", "linear") for kind in ("revolute", "universal", "fixed")],
 ]
 
-# Of which one takes half a minute or more, and ten seconds or more.
+# Mechanisms that take half a minute or more; ten seconds or more.
 EXHAUSTIVE = {"slender_six_bar", "two_loop_six_bar"}
 LONG = {
     "three_link_loop", "six_link_loop", "twisted_spatial_loop", "curved_four_bar", "chain_of_kinds",

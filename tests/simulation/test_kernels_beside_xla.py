@@ -77,7 +77,7 @@ METHODS = {
 
 
 @pytest.mark.parametrize(
-    "method", ["leapfrog", "midpoint", *(pytest.param(one, marks=pytest.mark.long) for one in ("rk4", "dopri5"))]
+    "method", [pytest.param(one, marks=[pytest.mark.long] if one in ("rk4", "dopri5") else []) for one in METHODS]
 )
 def test_methods(method, monkeypatch):
     """Explicit ones: mechanisms above are by the implicit one.  As they have one right-hand side, one method has a loop
