@@ -28,6 +28,7 @@ from rfem_jax.compilation.stages import listening, on_stage
 from rfem_jax.report import command_line
 from rfem_jax.report.command_line import build_parser, main
 from rfem_jax.report.commands.catalogue import all_commands
+from rfem_jax.report.drawings import pictures
 from rfem_jax.report.terminal import console
 from rfem_jax.report.terminal.messages import ProgressLine, paint, show
 from rfem_jax.report.terminal.process import count_devices, require_platform
@@ -83,10 +84,25 @@ def test_run_prints_and_writes_everything(packages, runs, study_file, tmp_path, 
     assert "Simulating 3 cases: 100 %" in captured.err
 
 
-@pytest.mark.long
+def test_pictures_can_be_left_out(packages, study_file, tmp_path, capsys, monkeypatch):
+    """matplotlib is not even imported; those of an earlier command are told apart."""
+    monkeypatch.setattr(pictures, "write_pictures", None)
+    for module in ("matplotlib", "rfem_jax.report.drawings.figures"):
+        monkeypatch.setitem(sys.modules, module, None)
+    arguments = ["run", str(study_file), "--out", str(tmp_path / "out"), "--no-pictures"]
+    assert main(arguments) == 0
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names == {"results.json", "P1.csv", "P2.csv", "P3.csv", "report.html"}
+    said = capsys.readouterr()
+    assert "earlier" not in said.err and "Drawing" not in said.err and "matplotlib" not in said.err
+    (tmp_path / "out" / "angle.png").write_bytes(b"older")
+    assert main(arguments) == 0
+    assert f"Pictures in {tmp_path / 'out'} are those of an earlier command." in capsys.readouterr().err
+
+
 def test_a_failed_case_is_exit_code_3_and_is_written(packages, runs, study_file, tmp_path, capsys):
     runs["P2"].status = 3
-    assert main(["run", str(study_file), "--out", str(tmp_path)]) == 3
+    assert main(["run", str(study_file), "--out", str(tmp_path), "--no-pictures"]) == 3
     assert '"status": "diverged"' in (tmp_path / "results.json").read_text(encoding="utf-8")
     assert (tmp_path / "P2.csv").exists()
     assert "Case P2: The run diverged; reduce the step." in capsys.readouterr().out
@@ -316,12 +332,11 @@ def test_an_answer_for_machines(packages, runs, study_file, tmp_path, capsys):
     assert code == 2 and "missing.toml" in found["problems"][0] and said == found["problems"][0] + "\n"
 
 
-@pytest.mark.long
 def test_quiet(packages, study_file, tmp_path, capsys):
-    assert main(["run", str(study_file), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    assert main(["run", str(study_file), "--out", str(tmp_path / "out"), "--no-pictures", "--quiet"]) == 0
     captured = capsys.readouterr()
     assert captured.err == "" and "RMS resultant force, N" in captured.out
-    assert main(["run", str(study_file), "--out", str(tmp_path / "out"), "--quiet", "--json"]) == 0
+    assert main(["run", str(study_file), "--out", str(tmp_path / "out"), "--no-pictures", "--quiet", "--json"]) == 0
     assert capsys.readouterr().err == ""
     assert main(["check", str(tmp_path / "missing.toml"), "--quiet"]) == 2
     assert "missing.toml" in one_sentence(capsys)

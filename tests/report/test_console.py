@@ -30,24 +30,22 @@ def titled(tmp_path):
     return path
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("encoding", ["ascii", "cp1252", "utf-8"])
 def test_characters_that_the_console_lacks_are_printed_by_number(packages, titled, tmp_path, monkeypatch, encoding):  # noqa: F811
     printed = io.BytesIO()
     stream = io.TextIOWrapper(printed, encoding=encoding)
     monkeypatch.setattr(sys, "stdout", stream)
-    assert command_line.main(["run", str(titled), "--out", str(tmp_path / "out")]) == 0
+    assert command_line.main(["run", str(titled), "--out", str(tmp_path / "out"), "--no-pictures"]) == 0
     assert stream.errors == "strict"  # as before
     first = printed.getvalue().decode(encoding).splitlines()[0]
     assert first == TITLE.encode(encoding, "backslashreplace").decode(encoding)
     assert json.loads((tmp_path / "out" / "results.json").read_text(encoding="utf-8"))["title"] == TITLE
 
 
-@pytest.mark.long
 def test_a_process_without_streams(packages, study_file, tmp_path, monkeypatch):  # noqa: F811
     for name in ("stdout", "stderr"):
         monkeypatch.setattr(sys, name, None)
-    assert command_line.main(["run", str(study_file), "--out", str(tmp_path / "out")]) == 0
+    assert command_line.main(["run", str(study_file), "--out", str(tmp_path / "out"), "--no-pictures"]) == 0
     assert sys.stdout is None
     assert (tmp_path / "out" / "report.html").exists()
 

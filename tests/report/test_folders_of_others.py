@@ -137,12 +137,15 @@ def test_steps_are_chosen_for_the_samples_by_the_samples(task_file, monkeypatch,
 
     done = {}
 
-    def noted(study, task, folder):
+    def noted(study, task, folder, pictures):
         done[task] = study.method.step
         return True, []
 
     monkeypatch.setattr(run, "write_task", noted)
-    assert run._do_tasks(of_cases, tmp_path, argparse.Namespace(study=task_file, out=tmp_path), []) == (True, [])
+    assert run._do_tasks(of_cases, tmp_path, argparse.Namespace(study=task_file, out=tmp_path, pictures=True), []) == (
+        True,
+        [],
+    )
     assert done == dict.fromkeys(study.tasks.declared, 1e-5) | {"monte_carlo": 5e-6}
 
     def interrupted(*_):

@@ -159,9 +159,9 @@ def test_cases_go_on_where_they_stopped(tmp_path, capsys, monkeypatch):
             if len(told) == 4:
                 signal.raise_signal(signal.SIGINT)
 
-    assert main(["run", str(path), "--out", str(tmp_path / "whole"), "--quiet"]) == 0
+    assert main(["run", str(path), "--out", str(tmp_path / "whole"), "--no-pictures"]) == 0
     with listening(interrupt):
-        assert main(["run", str(path), "--out", str(out)]) == 130
+        assert main(["run", str(path), "--out", str(out), "--no-pictures"]) == 130
         error = capsys.readouterr().err.splitlines()[-1]
         assert f"the cases are simulated up to {0.2 * told[3]:.3g} s of 0.2 s, which is kept in" in error
         assert [one.name for one in out.iterdir()] == ["unfinished_cases.npz"]
@@ -169,18 +169,18 @@ def test_cases_go_on_where_they_stopped(tmp_path, capsys, monkeypatch):
         other = tmp_path / "other.toml"
         other.write_text(SLIDER.replace("moment = 0.2", "moment = 0.3"), encoding="utf-8")
         kept = (out / "unfinished_cases.npz").read_bytes()
-        assert main(["run", str(other), "--out", str(out)]) == 0
+        assert main(["run", str(other), "--out", str(out), "--no-pictures"]) == 0
         every = told[4:]
         assert every[:4] == told[:4] and not (out / "unfinished_cases.npz").exists()
         (out / "unfinished_cases.npz").write_bytes(kept)
         count = len(told)
-        assert main(["run", str(path), "--out", str(out)]) == 0
+        assert main(["run", str(path), "--out", str(out), "--no-pictures"]) == 0
     assert told[count:] == every[4:]
     for name in ("perfect.csv", "tilted.csv"):
         assert (out / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
     # A damaged file is as good as none.
     (out / "unfinished_cases.npz").write_bytes(kept[:1000])
-    assert main(["run", str(path), "--out", str(out)]) == 0
+    assert main(["run", str(path), "--out", str(out), "--no-pictures"]) == 0
     assert (out / "tilted.csv").read_bytes() == (tmp_path / "whole" / "tilted.csv").read_bytes()
 
 

@@ -13,12 +13,13 @@ pytest.importorskip("matplotlib", reason="pictures need the extra `plots`")
 import matplotlib
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.image import imread
+from scipy.stats import spearmanr
 
 from rfem_jax import Tolerances, Uniform, load_study, monte_carlo, sensitivity
 from rfem_jax.report.drawings.pictures import write_pictures
 from rfem_jax.report.tasks import study_problem
 from rfem_jax.report.tasks.catalogue import report_on
-from rfem_jax.report.tasks.monte_carlo import _most_felt
+from rfem_jax.report.tasks.monte_carlo import _most_felt, scatter_matrix
 from rfem_jax.report.tasks.sensitivity import Derivatives
 
 from . import closed_form
@@ -106,12 +107,28 @@ def test_histograms_show_mean_quantiles_and_limits(study, problem):
 def test_the_scatter_matrix_shows_every_sample(study, problem):
     result = scatter(problem)
     figure = draw(study, "monte_carlo", result)["monte_carlo_scatter_matrix"]
-    assert len(figure.axes) == 25
-    panel = figure.axes[15]  # fourth row, first column: the moment over delta_x
+    assert len(figure.axes) == 15
+    panel = figure.axes[6]  # fourth row, first column: the moment over delta_x
     x, y = panel.lines[0].get_data()
     np.testing.assert_allclose(x, np.degrees(result.errors[:, 0]))
     np.testing.assert_allclose(y, result.values[:, 0])
-    assert figure.axes[20].get_xlabel() == "D.delta_x\ndeg"
+    assert figure.axes[10].get_xlabel() == "D.delta_x\ndeg"
+
+
+def test_the_scatter_matrix_has_correlations_above_the_diagonal(study):
+    """Each in the row of one number and in the column of the other."""
+    samples = np.random.default_rng(1).normal(size=(400, 3)) @ [[1.0, 0.5, -2.0], [0.0, 1.0, 0.1], [0.0, 0.0, 0.4]]
+    figure = scatter_matrix(study, ["a", "b", "c"], samples, "heading")
+    FigureCanvasAgg(figure).draw()
+    diagonal = [figure.axes[i].get_window_extent() for i in (0, 2, 5)]
+    pairs = ((0, 1), (0, 2), (1, 2))
+    expected = {f"{spearmanr(samples[:, i], samples[:, j]).statistic:+.2f}": (i, j) for i, j in pairs}
+    found = {text.get_text(): text.get_window_extent() for text in figure.texts if text.get_text() in expected}
+    assert len(found) == 3
+    for text, (row, column) in expected.items():
+        extent = found[text]
+        assert (extent.x0 + extent.x1) / 2 == pytest.approx((diagonal[column].x0 + diagonal[column].x1) / 2, abs=2.0)
+        assert diagonal[row].y0 < extent.y0 < extent.y1 < diagonal[row].y1
 
 
 @pytest.mark.long

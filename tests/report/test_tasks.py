@@ -187,6 +187,13 @@ def test_monte_carlo(task_file, tmp_path, capsys):
 
 
 @pytest.mark.long
+def test_pictures_of_a_task_can_be_left_out(task_file, tmp_path, monkeypatch):
+    monkeypatch.setattr(task_report, "write_pictures", None)
+    out = tmp_path / "out"
+    assert call("monte-carlo", task_file, out, "--no-pictures") == 0
+    assert names_in(out) == {"monte_carlo", "monte_carlo.json", "monte_carlo.csv"}
+
+
 def test_an_interrupted_study_continues_by_the_same_command(task_file, tmp_path, monkeypatch):
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     assert call("monte-carlo", task_file, whole) == 0

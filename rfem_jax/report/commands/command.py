@@ -93,6 +93,17 @@ def add_motion(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_pictures(parser: argparse.ArgumentParser) -> None:
+    """Whether pictures are drawn."""
+    parser.add_argument(
+        "--no-pictures",
+        dest="pictures",
+        action="store_false",
+        help="draw no pictures, which take longer than a simulation whose programs are kept; tables, files and "
+        "report.html are the same",
+    )
+
+
 def add_study_and_folder(parser: argparse.ArgumentParser) -> None:
     """The study file, the folder for the results, devices, and whether programs are kept."""
     add_study(parser)

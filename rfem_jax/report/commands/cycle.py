@@ -9,7 +9,7 @@ import time
 from dataclasses import replace
 from typing import Any
 
-from rfem_jax.report.commands.command import Answer, Command, add_axes, add_motion, add_study_and_folder
+from rfem_jax.report.commands.command import Answer, Command, add_axes, add_motion, add_pictures, add_study_and_folder
 from rfem_jax.report.commands.folders import open_folder, require_folder, writing_into
 from rfem_jax.report.commands.run import write_run_animation, write_run_pictures
 from rfem_jax.report.commands.steps import (
@@ -41,6 +41,7 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
     add_study_and_folder(parser)
     add_axes(parser)
     add_motion(parser)
+    add_pictures(parser)
     parser.add_argument("--tolerance", metavar="X", type=float, default=1e-6, help="of the motion (default: 1e-6)")
     parser.add_argument("--most", metavar="N", type=int, default=200, help="revolutions at most (default: 200)")
 
@@ -61,7 +62,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     require_constant_rate(discretise_study(study), study.designed_drive)
     study = settle_method(study)
     folder = open_folder(arguments.out)
-    prepare_pictures()
+    prepare_pictures(arguments.pictures)
     cycles = _cycles(study, arguments.tolerance, arguments.most)
     runs = {name: readable(cycle.run) for name, cycle in cycles.items()}
     statuses = {name: STATUS[int(run.status)] for name, run in runs.items()}
@@ -69,12 +70,12 @@ def act(arguments: argparse.Namespace) -> Answer:
     show(results_text(study, summaries), end="\n\n")
     with writing_into(folder):
         written = write_files(folder, study, runs, summaries, axes=arguments.axes)
-        written += write_run_pictures(folder, study, runs, summaries)
+        written += write_run_pictures(folder, study, runs, summaries, arguments.pictures)
         written += write_run_animation(folder, runs, arguments.motion)
         written.append(write_analysis(folder / "cycle.json", study, "cycle", {"cases": _convergence(cycles)}))
     good = all(cycle.converged for cycle in cycles.values())
     good = good and all(one["status"] == "ok" for one in summaries.values())
-    return finish(folder, written, good, started)
+    return finish(folder, written, good, started, arguments.pictures)
 
 
 def _of_one_revolution(study: Study) -> Study:

@@ -40,7 +40,7 @@ def act(arguments: argparse.Namespace) -> Answer:
 
     require_folder(arguments.out)
     model = discretise_study(study)
-    prepare_pictures(many=False)
+    prepare_pictures(beside=False)
     announce("Finding natural frequencies")
     result = report.compute_modes(study, model, arguments.count, not arguments.free)
     folder = open_folder(arguments.out)

@@ -11,7 +11,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rfem_jax.report.commands.command import Answer, Command, Interrupted, add_axes, add_motion, add_study_and_folder
+from rfem_jax.report.commands.command import (
+    Answer,
+    Command,
+    Interrupted,
+    add_axes,
+    add_motion,
+    add_pictures,
+    add_study_and_folder,
+)
 from rfem_jax.report.commands.folders import open_folder, require_folder, writing_into
 from rfem_jax.report.commands.steps import (
     announce,
@@ -51,6 +59,7 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
     add_study_and_folder(parser)
     add_axes(parser)
     add_motion(parser)
+    add_pictures(parser)
 
 
 def act(arguments: argparse.Namespace) -> Answer:
@@ -70,7 +79,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     require_task_folders(study, study.tasks.declared, arguments.out)
     study = settle_method(study)
     folder = open_folder(arguments.out)
-    prepare_pictures()
+    prepare_pictures(arguments.pictures)
     runs = {name: readable(run) for name, run in _simulate(study, folder).items()}
     statuses = {name: STATUS[int(run.status)] for name, run in runs.items()}
     if any(int(run.status) == PAST_LIMIT for run in runs.values()):
@@ -84,7 +93,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     try:
         with writing_into(folder):
             written += write_files(folder, study, runs, summaries, start, arguments.axes)
-            written += write_run_pictures(folder, study, runs, summaries)
+            written += write_run_pictures(folder, study, runs, summaries, arguments.pictures)
             written += write_run_animation(folder, runs, arguments.motion)
     except KeyboardInterrupt:
         sentence = f"the cases are done; of their files these are in {folder}: {_names(written)}. {_go_on(arguments)}"
@@ -93,7 +102,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     if failed:
         remark(paint(f"Not every case is complete: {', '.join(failed)}.", "red", sys.stderr))
     done, files = _do_tasks(study, folder, arguments, written)
-    return finish(folder, written + files, done and not failed, started)
+    return finish(folder, written + files, done and not failed, started, arguments.pictures)
 
 
 def _with_place(statuses: dict[str, Any], runs: dict[str, Run], study: Study) -> dict[str, Any]:
@@ -128,7 +137,7 @@ def _do_tasks(study: Study, folder: Path, arguments: argparse.Namespace, before:
     good, written = True, []
     for number, task in enumerate(study.tasks.declared):
         try:
-            done, files = write_task(settle_task(study, task, folder), task, folder)
+            done, files = write_task(settle_task(study, task, folder), task, folder, arguments.pictures)
         except Interrupted as end:
             complete = ", ".join(("the cases", *(one.replace("_", " ") for one in study.tasks.declared[:number])))
             kept = end.sentence.removesuffix("; the same command goes on from there.").removesuffix(".")
@@ -165,8 +174,10 @@ def _simulate(study: Study, folder: Path) -> dict[str, Run]:
     return runs
 
 
-def write_run_pictures(folder: Path, study: Study, runs: dict[str, Run], summaries: Summaries) -> list[Path]:
-    """Draw the pictures of a run, unless matplotlib is missing, which is said."""
+def write_run_pictures(
+    folder: Path, study: Study, runs: dict[str, Run], summaries: Summaries, wanted: bool = True
+) -> list[Path]:
+    """Draw the pictures of a run, if they are `wanted` and unless matplotlib is missing, which is said."""
     from rfem_jax.report.drawings.pictures import drawn
 
     def write():
@@ -174,7 +185,7 @@ def write_run_pictures(folder: Path, study: Study, runs: dict[str, Run], summari
 
         return write_figures(folder, study, runs, summaries)
 
-    return drawn(write)
+    return drawn(write) if wanted else []
 
 
 def write_run_animation(folder: Path, runs: dict[str, Run], formats: Sequence[str] = ()) -> list[Path]:

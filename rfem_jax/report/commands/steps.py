@@ -88,13 +88,14 @@ def _trials(study: Study, task: str) -> Any:
     return report_on(study, task).trials()
 
 
-def write_task(study: Study, task: str, folder: Path) -> tuple[bool, list[Path]]:
-    """Do a task of a study; returns whether it succeeded, and the files written. Raises: InputError; Interrupted."""
+def write_task(study: Study, task: str, folder: Path, pictures: bool = True) -> tuple[bool, list[Path]]:
+    """Do a task of a study, `pictures`: with these; returns whether it succeeded, and the files written. Raises:
+    InputError; Interrupted."""
     from rfem_jax.report.tasks.catalogue import do_task, report_on
 
     try:
         with _interruptible(study, task, folder), timed(study, task, report_on(study, task).left(folder)):
-            return do_task(study, task, folder)
+            return do_task(study, task, folder, pictures)
     except TimeoutError as problem:  # another process that shares the work has stopped
         say(paint(str(problem), "red", sys.stderr))
         return False, []
@@ -158,10 +159,13 @@ def write_page(folder: Path) -> list[Path]:
     return []
 
 
-def finish(folder: Path, written: list[Path], good: bool, started: float) -> Answer:
-    """Write the page of all results, and say how many files were written since `started` [s of `perf_counter`]; the
-    answer of a command whose results are `good`, or failed in part."""
+def finish(folder: Path, written: list[Path], good: bool, started: float, pictures: bool = True) -> Answer:
+    """Write the page of all results, and say how many files were written since `started` [s of `perf_counter`], and
+    without `pictures` that those in the folder are older; the answer of a command whose results are `good`, or failed
+    in part."""
     written = written + write_page(folder)
+    if not pictures and any(folder.glob("*.png")):
+        remark(f"Pictures in {folder} are those of an earlier command.")
     show(f"{len(written)} files written to {folder} ({time.perf_counter() - started:.1f} s in all).")
     return Answer(DONE if good else CASE_FAILED, files_document(folder, written))
 
@@ -176,9 +180,9 @@ def require_task_folders(study: Study, tasks: Sequence[str], out: str | Path) ->
         report_on(study, task).require_folder(Path(out))
 
 
-def prepare_pictures(many: bool = True) -> None:
-    """Import what pictures need in the background, while something is computed; `many`: in the process that draws half
-    of them, too."""
+def prepare_pictures(wanted: bool = True, beside: bool = True) -> None:
+    """Import what pictures need in the background, while something is computed, if they are `wanted`; `beside`: in the
+    process that draws half of many, too."""
     from rfem_jax.report.drawings.pictures import draw_beside
 
     def load():
@@ -187,7 +191,9 @@ def prepare_pictures(many: bool = True) -> None:
 
             import rfem_jax.report.drawings.figures  # noqa: F401
 
-    if many:
+    if not wanted:
+        return
+    if beside:
         draw_beside()
     threading.Thread(target=load, daemon=True).start()
 

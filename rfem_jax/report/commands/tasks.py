@@ -13,6 +13,7 @@ from rfem_jax.report.commands.command import (
     DONE,
     Answer,
     Command,
+    add_pictures,
     add_processes,
     add_study_and_folder,
 )
@@ -38,6 +39,7 @@ def task_commands() -> list[Command]:
 def _command_of(kind: TaskKind) -> Command:
     def add_arguments(parser: argparse.ArgumentParser) -> None:
         add_study_and_folder(parser)
+        add_pictures(parser)
         if kind.many_processes:
             add_processes(parser)
         if kind.data:
@@ -66,12 +68,12 @@ def _do(task: str, arguments: argparse.Namespace) -> Answer:
         study = _with_data(study, task, arguments.data)
     require_folder(arguments.out)
     require_task_folders(study, (task,), arguments.out)
-    prepare_pictures()
+    prepare_pictures(arguments.pictures)
     study = settle_method(study, task)
     folder = open_folder(arguments.out)
-    good, written = write_task(study, task, folder)
+    good, written = write_task(study, task, folder, arguments.pictures)
     if written:  # not by the helpers of process 0
-        return finish(folder, written, good, started)
+        return finish(folder, written, good, started, arguments.pictures)
     return Answer(DONE if good else CASE_FAILED, files_document(folder, written))
 
 

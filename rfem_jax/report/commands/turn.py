@@ -47,7 +47,7 @@ def act(arguments: argparse.Namespace) -> Answer:
     model = discretise_study(study)
     start, stop = (_position(getattr(arguments, name), name, model) for name in ("start", "stop"))
     positions = turn_positions(model, arguments.positions, start, stop)
-    prepare_pictures(many=False)
+    prepare_pictures(beside=False)
     announce(f"Finding equilibria at {len(positions)} positions")
     turn = report.compute_turn(study, model, positions, arguments.axes)
     folder = open_folder(arguments.out)

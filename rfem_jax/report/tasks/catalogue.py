@@ -53,14 +53,14 @@ def require_task(study: Study, name: str) -> None:
         )
 
 
-def do_task(study: Study, name: str, folder: str | Path) -> tuple[bool, list[Path]]:
-    """Compute, print, write and draw one declared task.
+def do_task(study: Study, name: str, folder: str | Path, pictures: bool = True) -> tuple[bool, list[Path]]:
+    """Compute, print, write and, with `pictures`, draw one declared task.
 
     Returns: whether the result is good, and the files written (none but by process 0 of several).
     Raises: InputError; OSError for files that cannot be written.
     """
     require_task(study, name)
     started = time.perf_counter()
-    good, written = report_on(study, name).do(Path(folder))
+    good, written = report_on(study, name).do(Path(folder), pictures)
     remark(f"{name.replace('_', ' ').capitalize()} done after {time.perf_counter() - started:.1f} s.")
     return good, written

@@ -17,7 +17,7 @@ from rfem_jax.compilation.stages import on_stage
 from rfem_jax.description.study_file.study import Study
 from rfem_jax.description.tasks.monte_carlo import MonteCarloTask
 from rfem_jax.description.tolerances.error_catalogue import as_specified
-from rfem_jax.report.contents.annotations import Axes, Figure
+from rfem_jax.report.contents.annotations import Figure
 from rfem_jax.report.contents.output import write_csv
 from rfem_jax.report.drawings.style import (
     BAR_COLOURS,
@@ -235,18 +235,22 @@ def scatter_matrix_figure(study: Study, result: MonteCarloResult) -> Figure:
 
 def scatter_matrix(study: Study, names: list[str], samples: Float[np.ndarray, "n p"], heading: str) -> Figure:
     """Every pair of p numbers: points below, rank correlations above, histograms on the diagonal."""
+    from matplotlib.transforms import blended_transform_factory
+
     size = len(names)
     figure = new_figure(1.35 * size + 1.0, 1.35 * size + 1.4)
-    panels = figure.subplots(size, size, squeeze=False)
+    grid = figure.add_gridspec(size, size)
+    panels = [[figure.add_subplot(grid[row, column]) for column in range(row + 1)] for row in range(size)]
     ranks = np.argsort(np.argsort(samples, axis=0), axis=0).astype(float)
     point = float(np.clip(80.0 / np.sqrt(max(len(samples), 1)), 1.0, 2.5))
     for row in range(size):
-        for column in range(size):
-            axes = panels[row, column]
+        for column in range(row + 1, size):
+            # Beside the diagonal's panel of the row, and above that of the column: axes of its own would take as
+            # long as a panel.
+            place = blended_transform_factory(panels[column][column].transAxes, panels[row][row].transAxes)
+            _write_correlation(figure, place, ranks[:, row], ranks[:, column])
+        for column, axes in enumerate(panels[row]):
             axes.grid(visible=False)
-            if column > row:
-                _write_correlation(axes, ranks[:, row], ranks[:, column])
-                continue
             if column == row:
                 axes.hist(samples[:, row], 12, color=BAR_COLOURS[2], edgecolor="black", lw=0.4)
                 axes.set_yticks([])
@@ -302,11 +306,13 @@ def _order(result: MonteCarloResult, i: int) -> tuple[bool, int, int]:
     return result.metrics[i] not in result.limits, kinds[:i].count(kinds[i]), i
 
 
-def _write_correlation(axes: Axes, first: Float[np.ndarray, " samples"], second: Float[np.ndarray, " samples"]) -> None:
-    axes.set_axis_off()
+def _write_correlation(
+    figure: Figure, place: Any, first: Float[np.ndarray, " samples"], second: Float[np.ndarray, " samples"]
+) -> None:
+    """Write a rank correlation in the middle of a place."""
     spread = len(first) > 1 and np.std(first) > 0 and np.std(second) > 0
     correlation = np.corrcoef(first, second)[0, 1] if spread else np.nan
     # Adding zero takes the sign off what rounds to zero.
     text = f"{round(correlation, 2) + 0.0:+.2f}" if np.isfinite(correlation) else "-"
     shade = "black" if abs(correlation) > 0.3 else "#808080"
-    axes.text(0.5, 0.5, text, ha="center", va="center", color=shade, transform=axes.transAxes)
+    figure.text(0.5, 0.5, text, ha="center", va="center", color=shade, transform=place)

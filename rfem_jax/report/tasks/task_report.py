@@ -152,8 +152,8 @@ class TaskReport(abc.ABC, Generic[Asked, Result]):
         count = count_chunks(self.unfinished(folder))
         return f"{count} evaluations are kept in {self.unfinished(folder)}" if count else ""
 
-    def do(self, folder: Path) -> tuple[bool, list[Path]]:
-        """Compute, print, write and draw; returns whether it succeeded, and the files written."""
+    def do(self, folder: Path, pictures: bool = True) -> tuple[bool, list[Path]]:
+        """Compute, print, write and, with `pictures`, draw; returns whether it succeeded, and the files written."""
         with kept_in(self.unfinished(folder)):
             result = self.run(folder)
         good = self.succeeded(result)
@@ -163,7 +163,10 @@ class TaskReport(abc.ABC, Generic[Asked, Result]):
         said = self.text(result)  # results of this package have the notes on their own metrics
         notes = [one for one in note_sentences(getattr(self.task, "metrics", ())) if one.split()[0] not in said]
         show("\n\n".join([title_text(self.study), said, *notes]), end="\n\n")
-        return good, self.write(folder, result) + drawn(lambda: write_pictures(folder, self.pictures(result)))
+        written = self.write(folder, result)
+        if pictures:
+            written += drawn(lambda: write_pictures(folder, self.pictures(result)))
+        return good, written
 
 
 def _zone(zone: SpecifiedZone) -> str:

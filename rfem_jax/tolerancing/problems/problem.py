@@ -15,6 +15,7 @@ Symbols: errors {name: scalar} [rad or m], where a missing name means zero; valu
 of the metrics; status, scalar int32, 0 for a good sample.
 """
 
+import functools
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol, SupportsIndex, runtime_checkable
@@ -72,16 +73,22 @@ class Metric:
 
         Raises: NotRenamable for a function that may read results by their names.
         """
-        try:
-            keys.digest_value(self)
-        except keys.NotDigestible as error:
-            raise NotRenamable(self.name) from error
+        if not self._is_digestible:
+            raise NotRenamable(self.name)
         of_other = names.of(self.name)
         if of_other == self.name:
             return self
         if self.by_name is None:
             raise NotRenamable(self.name)
         return self.by_name(of_other)
+
+    @functools.cached_property  # asked for in every call of a program
+    def _is_digestible(self) -> bool:
+        try:
+            keys.digest_value(self)
+        except keys.NotDigestible:
+            return False
+        return True
 
     # Pickled for other processes: functions without a name are not, and the catalogue makes its metrics of theirs.
     def __reduce_ex__(self, protocol: SupportsIndex) -> Any:
