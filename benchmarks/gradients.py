@@ -2,14 +2,15 @@
 
     python benchmarks/gradients.py [--methods generalised_alpha rk4] [--counts 3 30] [--batches 1 16]
                                    [--parameters 10] [--tolerance 1e-3] [--parts cost accuracy] [--share 1]
-                                   [--study FILE] ...
+                                   [--study FILE] [--runs N] ...
 
 cost: for 3 errors (joint D) and 30 (both sides of all joints), alone and in a batch: the value, forward mode
 (`jacfwd` of the mean-square moments of all joints) and reverse mode (`grad` of one); with `--parameters` last of all
 for so many parameters of the description, one of every kind first, with the 3 errors.  The implicit
 method runs the whole 0.5 s of the main study with steps of 2 ms, Runge-Kutta 4 its first 10 ms.  Times are
 those of the processor (one thread, so that other programs do not count), on a GPU those of the clock; the least of
-several runs, compilation apart; memory is what the compiler reserves for intermediates.
+several runs, compilation apart; memory is what the compiler reserves for intermediates.  `--runs`: everything is
+compiled for so many runs (`kernels.expecting`); without it as for a single one.
 
 accuracy: derivatives of all mean squares at tolerances from loose to tight, against those at a tolerance
 of 1e-11; the errors of five kinds at 0.05 to 3 times their sizes.  Differences are relative to the
@@ -38,6 +39,7 @@ import numpy as np  # noqa: E402
 
 from rfem_jax import GeneralisedAlpha, Problem, Simulation, discretise, largest_stable_step, load_study  # noqa: E402
 from rfem_jax.description.methods import named_method  # noqa: E402
+from rfem_jax.kernels import expecting  # noqa: E402
 from rfem_jax.simulation.solvers.generalised_alpha import GeneralisedAlphaSolver  # noqa: E402
 
 STUDY = Path(__file__).parents[1] / "studies" / "four_bar" / "study.toml"
@@ -83,12 +85,13 @@ def chosen_parameters(problem: Problem, count: int) -> tuple[str, ...]:
     return (*first, *(name for name in known if name not in first))[:count] + chosen_errors(problem, 3)
 
 
-def measure(label: str, function, points, base: float | None, repeats: int) -> float:
-    """One row; returns the least time [s] of a run, of the processor or, on a GPU, of the clock."""
+def measure(label: str, function, points, base: float | None, repeats: int, runs: int) -> float:
+    """One row of what is compiled for so many runs; returns the least time [s] of a run, of the processor or, on a GPU, of the clock."""
     clock = time.process_time if jax.default_backend() == "cpu" else time.perf_counter
     start = time.perf_counter()
     compiled = jax.jit(jax.vmap(function) if len(points) > 1 else lambda x: function(x[0]))
-    compiled = compiled.lower(points).compile()
+    with expecting(runs):
+        compiled = compiled.lower(points).compile()
     compiling = time.perf_counter() - start
     jax.block_until_ready(compiled(points))
     times = []
@@ -165,14 +168,14 @@ def measure_cost(options) -> None:
                 points = 1e-4 * spread * jnp.ones((1, len(names)))
                 label = f"{method}, batch {batch}"
                 if base is None:
-                    base = measure(f"{label}, value", values, points, None, options.repeats)
+                    base = measure(f"{label}, value", values, points, None, options.repeats, options.runs)
                 label = f"{label}, {what}"
                 if "forward" in options.modes:
-                    measure(f"{label}, forward", jax.jacfwd(values), points, base, options.repeats)
+                    measure(f"{label}, forward", jax.jacfwd(values), points, base, options.repeats, options.runs)
                 metric = problem.metrics[0].name
                 one = jax.grad(lambda p, values=values, metric=metric: values(p)[metric])
                 if "reverse" in options.modes:
-                    measure(f"{label}, reverse", one, points, base, options.repeats)
+                    measure(f"{label}, reverse", one, points, base, options.repeats, options.runs)
 
 
 def main() -> None:
@@ -190,6 +193,7 @@ def main() -> None:
     tolerances = [1e-3, 1e-4, 1e-5, 1e-6]
     parser.add_argument("--tolerances", nargs="+", type=float, default=tolerances, help="of the part accuracy")
     parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--runs", type=int, default=1, help="for which everything is compiled")
     parser.add_argument("--study", type=Path, default=STUDY, help="file; the main study by default")
     parser.add_argument("--share", type=float, default=1.0, help="of the durations that are simulated")
     options = parser.parse_args()
