@@ -86,7 +86,8 @@ def chosen_parameters(problem: Problem, count: int) -> tuple[str, ...]:
 
 
 def measure(label: str, function, points, base: float | None, repeats: int, runs: int) -> float:
-    """One row of what is compiled for so many runs; returns the least time [s] of a run, of the processor or, on a GPU, of the clock."""
+    """One row, of what is compiled for so many runs; returns the least time [s] of a run, of the processor or, on a
+    GPU, of the clock."""
     clock = time.process_time if jax.default_backend() == "cpu" else time.perf_counter
     start = time.perf_counter()
     compiled = jax.jit(jax.vmap(function) if len(points) > 1 else lambda x: function(x[0]))

@@ -59,8 +59,8 @@ def test_steps_that_follow_contact(run_program):
 
 def test_cost_of_gradients(run_program, pendulum_file):
     said = run_program(
-        "benchmarks/gradients.py", "--study", pendulum_file, "--rfes", 2, "--share", 0.01, "--parts", "cost", "--runs", 2,
-        "--counts", 2, "--parameters", 4, "--batches", 1, "--repeats", 1,
+        "benchmarks/gradients.py", "--study", pendulum_file, "--rfes", 2, "--share", 0.01, "--parts", "cost",
+        "--counts", 2, "--parameters", 4, "--batches", 1, "--repeats", 1, "--runs", 2,
     )  # fmt: skip
     rows = [f"{asked}, {mode}" for asked in ("2 errors", "4 parameters") for mode in ("forward", "reverse")]
     for method in ("generalised_alpha", "rk4"):
