@@ -166,7 +166,7 @@ def test_a_correction_is_written_told_and_drawn(path, tmp_path, capsys):
     result = report.run(tmp_path)
     (axes,) = report.pictures(result)["identification_correction"].axes
     assert axes.lines[0].get_label() == "as it is" and len(axes.lines) == 3
-    posterior = report.pictures(result)["identification_posterior"].axes[2].lines[0]
+    posterior = report.pictures(result)["identification_posterior"].axes[1].lines[0]
     assert np.mean(posterior.get_xdata()) == pytest.approx(np.degrees(result.estimate[0]), abs=2e-4)
     assert "correction: D.rms_moment by D.delta_x, D.d_y" in tasks_text(study)
 

@@ -319,7 +319,7 @@ def test_run_does_the_cases_and_then_every_task(task_file, tmp_path, capsys, mon
     monkeypatch.setattr(rfem_jax.simulation, "run_cases", lambda study, **_: (None, runs))
     done = []
 
-    def do_task(study, name, folder):
+    def do_task(study, name, folder, pictures):
         done.append(name)
         return name != "worst_case", [folder / name]
 
