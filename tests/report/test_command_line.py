@@ -85,19 +85,21 @@ def test_run_prints_and_writes_everything(packages, runs, study_file, tmp_path, 
 
 
 def test_pictures_can_be_left_out(packages, study_file, tmp_path, capsys, monkeypatch):
-    """matplotlib is not even imported; those of an earlier command are told apart."""
-    monkeypatch.setattr(pictures, "write_pictures", None)
-    for module in ("matplotlib", "rfem_jax.report.drawings.figures"):
-        monkeypatch.setitem(sys.modules, module, None)
-    arguments = ["run", str(study_file), "--out", str(tmp_path / "out"), "--no-pictures"]
-    assert main(arguments) == 0
-    names = {path.name for path in (tmp_path / "out").iterdir()}
-    assert names == {"results.json", "P1.csv", "P2.csv", "P3.csv", "report.html"}
-    said = capsys.readouterr()
-    assert "earlier" not in said.err and "Drawing" not in said.err and "matplotlib" not in said.err
-    (tmp_path / "out" / "angle.png").write_bytes(b"older")
-    assert main(arguments) == 0
-    assert f"Pictures in {tmp_path / 'out'} are those of an earlier command." in capsys.readouterr().err
+    """No process is started for them, and those that are there already are said to be older."""
+    done = []
+    monkeypatch.setattr(pictures, "draw_beside", lambda: done.append("process"))
+    monkeypatch.setattr(pictures, "drawn", lambda write: done.append("drawn") or [])
+    out = tmp_path / "out"
+    with_pictures = ["run", str(study_file), "--out", str(out)]
+    assert main([*with_pictures, "--no-pictures"]) == 0
+    assert {path.name for path in out.iterdir()} == {"results.json", "P1.csv", "P2.csv", "P3.csv", "report.html"}
+    assert "older" not in capsys.readouterr().err
+    (out / "angle.png").write_bytes(b"older")
+    assert main([*with_pictures, "--no-pictures"]) == 0
+    assert f"Pictures in {out} are older than these results." in capsys.readouterr().err
+    assert done == []
+    assert main(with_pictures) == 0
+    assert done == ["process", "drawn"] and "older" not in capsys.readouterr().err
 
 
 def test_a_failed_case_is_exit_code_3_and_is_written(packages, runs, study_file, tmp_path, capsys):

@@ -186,7 +186,6 @@ def test_monte_carlo(task_file, tmp_path, capsys):
     assert "all limits" in capsys.readouterr().out
 
 
-@pytest.mark.long
 def test_pictures_of_a_task_can_be_left_out(task_file, tmp_path, monkeypatch):
     monkeypatch.setattr(task_report, "write_pictures", None)
     out = tmp_path / "out"
@@ -194,6 +193,7 @@ def test_pictures_of_a_task_can_be_left_out(task_file, tmp_path, monkeypatch):
     assert names_in(out) == {"monte_carlo", "monte_carlo.json", "monte_carlo.csv"}
 
 
+@pytest.mark.long
 def test_an_interrupted_study_continues_by_the_same_command(task_file, tmp_path, monkeypatch):
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     assert call("monte-carlo", task_file, whole) == 0

@@ -165,7 +165,7 @@ def finish(folder: Path, written: list[Path], good: bool, started: float, pictur
     in part."""
     written = written + write_page(folder)
     if not pictures and any(folder.glob("*.png")):
-        remark(f"Pictures in {folder} are those of an earlier command.")
+        remark(f"Pictures in {folder} are older than these results.")
     show(f"{len(written)} files written to {folder} ({time.perf_counter() - started:.1f} s in all).")
     return Answer(DONE if good else CASE_FAILED, files_document(folder, written))
 
